@@ -59,8 +59,11 @@ class Outcome:
 
 
 def stretching(bench: VirtualBench, seed: int, *, strain: float) -> VirtualRecording:
-    """The largest force, along the beam, would stretch it by `strain`."""
-    return virtual_recording(replace(bench, axial_stiffness=bench.push.peak / strain), seed=seed)
+    """The largest force, along the beam, would stretch it by `strain`; it does not shear."""
+    bending = bench.beam.length * float(np.mean(np.asarray(bench.beam.stiffness(np.linspace(0.0, 1.0, 401)))))
+    thickness = float(np.sqrt(12.0 * bending * strain / bench.push.peak))  # EA = 12 EI / h^2
+    effects = replace(bench.effects, thickness=thickness, poisson=-0.999)
+    return virtual_recording(replace(bench, effects=effects), seed=seed)
 
 
 def misplaced(bench: VirtualBench, seed: int, *, along: float) -> VirtualRecording:

@@ -17,7 +17,7 @@ from onebend.beam.stiffness import LogSpline
 from onebend.lab.bench import ForceSensor, PushProfile
 from onebend.lab.designs import force_that_bends
 from onebend.lab.virtual import VirtualBench, observe_from_truth, virtual_recording
-from onebend.learning.allowances import EVERY_ALLOWANCE, AllowanceName
+from onebend.learning.allowances import EVERY_ALLOWANCE
 from onebend.learning.fit_data import FitData, fit_data
 from onebend.learning.hyperparameters import Evidence
 from onebend.learning.linear import (
@@ -39,7 +39,7 @@ CLOCK = 0.01  # s
 LEVEL, LEVEL_SD, SLOPE_SD = float(np.log(0.02)), 0.3, 0.5  # of log k
 THIRDS = 3
 # Those that need no camera's place. Of the mass in motion the basis is the tags' own accelerations, noise and all.
-ALLOWED: frozenset[AllowanceName] = EVERY_ALLOWANCE - {"inertia", "heights", "camera", "rolling shutter"}
+ALLOWED: frozenset[str] = EVERY_ALLOWANCE - {"inertia", "heights", "camera", "rolling shutter"}
 LARGEST_SIZE = 3.0  # drawn; their prior, a half-Cauchy, goes on for ever
 SETTLE = 3  # times that the course of the push is taken from where the tags then are
 
@@ -55,9 +55,7 @@ class Drawn:
     own: Array  # (F, 2) N, the force less the logged one without its slow error
 
 
-def draw(
-    seed: int, *, functions: int = 16, fixed: bool = False, allowances: frozenset[AllowanceName] = frozenset()
-) -> Drawn:
+def draw(seed: int, *, functions: int = 16, fixed: bool = False, allowances: frozenset[str] = frozenset()) -> Drawn:
     """One draw; with `fixed`, k(s) and the push are those of seed 0 and all else is drawn."""
     rng, own = np.random.default_rng([seed, 11]), np.random.default_rng([0 if fixed else seed, 12])
     spline = Spline(functions)
@@ -135,7 +133,7 @@ def draw_parts(spline: Spline, rng: np.random.Generator) -> Array:
     return np.concatenate([line, tau * rng.standard_normal(spline.count - 2), local])
 
 
-def prepared(o: Observations, spline: Spline, allowances: frozenset[AllowanceName]) -> FitProblem:
+def prepared(o: Observations, spline: Spline, allowances: frozenset[str]) -> FitProblem:
     """As the fit prepares them: every loaded frame."""
     data = fit_data(o, 0, o.loaded, spline, allowances)
     layout = make_layout(spline, [o], [len(data.error.knots)], Priors(), [data.allowances])

@@ -18,6 +18,7 @@ from benchmarks.real_bench import bench_of
 from onebend.errors import LearningError, MechanicsError, ObservationError
 from onebend.lab.designs import force_that_bends
 from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
+from onebend.learning.instruments import setup_of
 from onebend.learning.posterior import fit
 from onebend.learning.validation import validate
 
@@ -59,7 +60,7 @@ def compared(seed: int) -> SecondPush:
     first = observe_virtual(virtual_recording(bench, seed=seed))
     second = observe_virtual(virtual_recording(again, seed=seed + 1000))
     found = fit([first], gain_sd=bench.declared.gain_sd)
-    there = validate(found.beam, second, stiffness=found.stiffness)
+    there = validate(found.beam, second, stiffness=found.stiffness, setup=setup_of(found))
     worst = int(np.argmax(there.rms))
     of_worst = (float(one[worst]) for one in (there.rms, there.sensor_rms, there.likely_rms))
     return SecondPush(seed, (bench.push.at_s, again.push.at_s), *of_worst)

@@ -21,7 +21,7 @@ from onebend.lab.designs import force_that_bends
 from onebend.lab.random_bench import PLACES, BenchRanges, random_bench
 from onebend.lab.virtual import VirtualBench, observe_from_truth, observe_virtual, virtual_recording
 from onebend.learning.frames import at_frames
-from onebend.learning.instruments import instruments_of
+from onebend.learning.instruments import instruments_of, setup_of
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
 from onebend.learning.sensing.forces import TOUCH
@@ -74,7 +74,14 @@ def learned(beam: int) -> StoredModel | None:
             print(beam, wrong)
             return None
         file.parent.mkdir(parents=True, exist_ok=True)
-        save_model(file, found.beam, written_by="benchmarks", uncertain=found.stiffness, bench=instruments_of(found))
+        save_model(
+            file,
+            found.beam,
+            written_by="benchmarks",
+            uncertain=found.stiffness,
+            bench=instruments_of(found),
+            setup=setup_of(found),
+        )
     return read_model(file)
 
 
@@ -113,7 +120,7 @@ def sensed(beam: int, push: int, way: str, settings: SenseSettings = SenseSettin
     rows = np.flatnonzero(size > 0.1 * size.max())
     chosen[rows[np.linspace(0, len(rows) - 1, FRAMES).astype(int)]] = True
     part = at_frames(o, chosen)
-    found = sense(model.beam, part, stiffness=model.uncertain, instruments=model.bench, settings=settings)
+    found = sense(model.beam, part, stiffness=model.uncertain, setup=model.setup, settings=settings)
     return found, virtual.force[part.frame], float(size.max())
 
 
@@ -161,7 +168,7 @@ def judged(beam: int, push: int) -> dict[str, Any]:
     bench = replace(bench, sensor=sensor, declared=replace(bench.declared, axes=turned))
     try:
         o = observe_virtual(virtual_recording(bench, seed=1000 * (beam + 1) + push))
-        found = sense(model.beam, o, stiffness=model.uncertain, instruments=model.bench)
+        found = sense(model.beam, o, stiffness=model.uncertain, setup=model.setup)
     except (LearningError, MechanicsError, ObservationError, RecordingError, np.linalg.LinAlgError) as wrong:
         return out | {"failure": f"{type(wrong).__name__}: {wrong}"}
     if found.sensor is None or o.source.clock is None:

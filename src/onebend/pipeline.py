@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from onebend.beam.model import Beam
+from onebend.beam.setup import SetUp
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError, ResultsError
 from onebend.learning.design import Plan, PlanSettings, plan
 from onebend.learning.frames import with_seen_tags
 from onebend.learning.frequencies import frequency_notices
+from onebend.learning.instruments import setup_of
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.outcome import Comparison, Learned, Notice, modulus_notices
 from onebend.learning.paper import MOST_FRAMES, RegressionSettings, pairs as trials, regress
@@ -67,8 +69,19 @@ def learn(
     with watch.whole("observe"):
         every = [observe(one, settings=observing, detect=detect, frames=frames, progress=watch) for one in wanted]
 
-    def compared(beam: Beam, known: UncertainStiffness | None) -> list[tuple[Comparison, Observations]]:
-        return compare(beam, others, stiffness=known, observing=observing, detect=detect, frames=frames, progress=watch)
+    def compared(beam: Beam, found: Posterior | None) -> list[tuple[Comparison, Observations]]:
+        if not others:
+            return []
+        return compare(
+            beam,
+            others,
+            stiffness=None if found is None else found.stiffness,
+            setup=None if found is None else setup_of(found),
+            observing=observing,
+            detect=detect,
+            frames=frames,
+            progress=watch,
+        )
 
     return _learned(every, settings, fitting, compared, watch)
 
@@ -89,7 +102,7 @@ def _learned(
     every: Sequence[Observations],
     settings: RegressionSettings,
     fitting: FitSettings | None,
-    validated: Callable[[Beam, UncertainStiffness | None], list[tuple[Comparison, Observations]]],
+    validated: Callable[[Beam, Posterior | None], list[tuple[Comparison, Observations]]],
     watch: Stopwatch,
 ) -> Run:
     """Regression, fit and validation, in order; `validated` compares the beam with other recordings."""
@@ -105,9 +118,11 @@ def _learned(
     with watch.whole("validate"):
         beam, trainings = _result(seen, learned, posterior)
         remarks += modulus_notices(beam, None if posterior is None else posterior.stiffness, seen)
-        known = None if posterior is None else posterior.stiffness
-        pairs, said = _not_learned_from(validated(beam, known), seen)
+        pairs, said = _not_learned_from(validated(beam, posterior), seen)
         remarks += said
+    if posterior is not None:
+        failed = tuple(one.name for one, _ in pairs if one.failed)
+        posterior = replace(posterior, contradicted_by=failed)
     films = (*seen, *(where for _, where in pairs))
     return Run(
         beam=beam,
@@ -208,21 +223,23 @@ def compare(
     *,
     learned_from: Sequence[Observations] = (),
     stiffness: UncertainStiffness | None = None,
+    setup: SetUp | None = None,
     observing: ObserveSettings = ObserveSettings(),
     detect: Detect = detect_tags,
     frames: KeptFrames | None = None,
     progress: Progress = Silent(),
 ) -> list[tuple[Comparison, Observations]]:
-    """The beam against each of the recordings (Tables IV to VI); `stiffness` is its k(s) with a band, where it has one.
-    A warning stands on those that it was `learned_from`. Raises `ObservationError`: a recording of a beam of another
-    length; and all that `learn` raises."""
+    """The beam against each of the recordings (Tables IV to VI); `stiffness` is its k(s) with a band, where it has one,
+    `setup` that in which the recordings were made (`learning.validation.validate`). A warning stands on those that it
+    was `learned_from`. Raises `ObservationError`: a recording of a beam of another length; and all that `learn`
+    raises."""
     recordings = [read_recording(folder) for folder in folders]
     for recording in recordings:
         check_same_length(beam.length, recording)
     pairs = []
     for recording in recordings:
         seen = observe(recording, settings=observing, detect=detect, frames=frames, progress=progress)
-        pairs.append((validate(beam, seen, stiffness=stiffness), seen))
+        pairs.append((validate(beam, seen, stiffness=stiffness, setup=setup), seen))
     return [(_warned(found, seen, learned_from), seen) for found, seen in pairs]
 
 

@@ -13,8 +13,8 @@ from onebend.beam.loads import push
 from onebend.beam.model import Beam
 from onebend.beam.setup import PARTS, SetUp
 from onebend.beam.stiffness import LogSpline, UncertainStiffness
-from onebend.control.reach import reach, reach_in_setup
-from onebend.errors import MechanicsError
+from onebend.control.reach import ReachSettings, predicted_error, reach, reach_in_setup
+from onebend.errors import ControlError, MechanicsError
 from onebend.records import Array
 
 KNOTS = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, 6), np.ones(3)])
@@ -98,23 +98,55 @@ def test_draws_follow_log_k() -> None:
 @given(st.floats(-0.003, 0.003), st.floats(0.0, 0.01), st.floats(-0.02, 0.02), st.floats(-0.004, 0.004))
 def test_the_ideal_beam_goes_where_the_set_up_goes(place: float, gives: float, clamp: float, length: float) -> None:
     one = setup(place=place, clamp_gives=gives, clamp=clamp, length=length)
-    ideal = one.ideal(BEAM, KNOWN)
+    ideal, _ = one.ideal(BEAM, KNOWN)
     there = equilibrium(ideal, push(FORCE, 1.0)).xy(np.array([1.0]))[:, 0]
     assert np.max(np.linalg.norm(there - tips(one), axis=1)) < 2e-4
 
 
+def test_the_band_of_the_ideal_beam_is_as_wide_as_places_spread_in_the_set_up() -> None:
+    sure, wide = setup(), setup()
+    column = wide.columns["place"].start
+    covariance = wide.covariance.copy()
+    covariance[column, column] = 0.005**2
+    wide = replace(wide, covariance=covariance)
+    sds = []
+    for one in (sure, wide):
+        ideal, known = one.ideal(BEAM, KNOWN)
+        there = reach(ideal, tips(one)[2])
+        sds.append(predicted_error(ideal, known, there, draws=0).ellipse().semi_axes[0])
+        drawn = reach_in_setup(BEAM, KNOWN, one, tips(one)[2]).predicted.ellipse().semi_axes[0]
+        assert sds[-1] == pytest.approx(drawn, rel=0.25)
+    assert sds[1] > 1.1 * sds[0]
+
+
 def test_a_goal_is_met_in_the_set_up() -> None:
-    one = setup(place=0.003, clamp_gives=0.01, direction=0.02, force_error=[0.02, -0.01, 0.01, 0.0])
-    goal = tips(one, np.array([[0.05, 0.4]]))[0]
+    one = setup(place=0.003, clamp_gives=0.01, direction=0.02, force_error=[0.02, -0.01, 0.01, 0.0], origin=[1e-3, 0.0])
+    goal = tips(one, np.array([[0.05, 0.4]]))[0] + one.origin
     found = reach_in_setup(BEAM, KNOWN, one, goal)
-    np.testing.assert_allclose(tips(one, found.force[None])[0], goal, atol=1e-6)
+    np.testing.assert_allclose(tips(one, found.force[None])[0] + one.origin, goal, atol=1e-6)
+    np.testing.assert_allclose(found.force, (0.05, 0.4), atol=1e-3)
     alone = reach(BEAM, goal)
-    assert np.linalg.norm(tips(one, alone.force[None])[0] - goal) > 1e-3
-    assert found.error is not None
-    assert found.error.holds(goal)
+    assert np.linalg.norm(tips(one, alone.force[None])[0] + one.origin - goal) > 1e-3
+    assert found.predicted.holds(goal)
     new = reach_in_setup(BEAM, KNOWN, one, goal, new=("tool", "sensor"))
-    assert new.error is not None
-    assert new.error.ellipse().semi_axes[0] > 1.5 * found.error.ellipse().semi_axes[0]
+    assert new.predicted.ellipse().semi_axes[0] > 1.5 * found.predicted.ellipse().semi_axes[0]
+    np.testing.assert_array_equal(found.path[0], 0.0)
+    with pytest.raises(ControlError, match="cannot be put on"):
+        reach_in_setup(BEAM, KNOWN, one, (0.3, 0.0))
+    with pytest.raises(ControlError, match=r"a force of 0\.4\d* N, more than 0\.1"):
+        reach_in_setup(BEAM, KNOWN, one, goal, settings=ReachSettings(max_force=0.1))
+
+
+def test_a_push_elsewhere_is_a_new_contact_on_the_beam() -> None:
+    old = setup(place=0.002, slide=0.001)
+    new = old.renewed(push_s=0.8, length=BEAM.length)
+    column, sd = old.columns["place"].start, old.prior_sd[old.columns["place"]][0]
+    assert new.push_s == 0.8
+    assert new.mean[column] == pytest.approx(0.0, abs=1e-12)
+    assert new.mean[old.columns["slide"]] == old.mean[old.columns["slide"]]
+    tip = old.renewed(["contact"], length=BEAM.length)  # half a normal density: nothing acts beyond the tip
+    assert tip.mean[column] == pytest.approx(-np.sqrt(2.0 / np.pi) * sd)
+    assert tip.covariance[column, column] == pytest.approx((1.0 - 2.0 / np.pi) * sd**2)
 
 
 def test_a_set_up_survives_json_and_refuses_what_is_none() -> None:

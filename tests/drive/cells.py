@@ -13,9 +13,9 @@ import numpy as np
 from onebend.beam.model import Beam
 from onebend.drive.placing import Placement, stated_placement
 from onebend.drive.plan import DriveLimits, DrivePlan, DriveSettings, make_plan
-from onebend.drive.robots import Robot, ToolPose
+from onebend.drive.robots import ArmState, Robot, Skill, ToolForce, ToolPose
 from onebend.drive.run import DriveOutcome, drive
-from onebend.drive.virtual import CellCamera, CellRobot, VirtualCell, VirtualSetup
+from onebend.drive.virtual import VirtualCell, VirtualSetup
 from onebend.lab.bench import PushProfile
 from onebend.lab.designs import find_design
 from onebend.lab.filming import shapes_at
@@ -23,11 +23,81 @@ from onebend.lab.random_bench import FilmRequest, filming_of
 from onebend.live.force_sensors import TOOL, WRENCH
 from onebend.live.guidance import CaptureSettings
 from onebend.live.session import record
-from onebend.live.sources import CameraSource, Clock, End, PlayedClock, Samples
+from onebend.live.sources import CameraSource, Clock, End, Frame, PlayedClock, Samples, StampTiming
 from onebend.recording.entries import Recording
 from onebend.recording.folder import read_recording
 from onebend.records import Array
 from onebend.results.model import StoredModel
+
+# The robot and the camera of a cell in this process, on any clock.
+
+
+class CellRobot:
+    """The robot of a cell."""
+
+    can: frozenset[Skill] = frozenset(("pose", "force"))
+    timing = StampTiming(delay=0.0, delay_error=0.005)
+
+    def __init__(self, cell: VirtualCell, name: str = "the virtual robot") -> None:
+        self.cell, self.name = cell, name
+        self.held_at = math.nan  # s, when it was last told to hold
+        self._clock: Clock | None = None
+
+    def connect(self, clock: Clock) -> None:
+        self._clock = clock
+
+    def state(self) -> ArmState:
+        assert self._clock is not None
+        self.cell.advance(self._clock.now())
+        return self.cell.state()
+
+    def command(self, wanted: ToolPose | ToolForce) -> None:
+        self.cell.command(wanted)
+
+    def hold(self) -> None:
+        self.held_at = self.cell.time
+        self.cell.command(None)
+
+    def release(self) -> None:
+        self.cell.command(None)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class CellCamera:
+    """The camera of a cell; a played source."""
+
+    timing = StampTiming(host=True, delay=0.0, delay_error=0.005)
+
+    def __init__(self, cell: VirtualCell, name: str = "the virtual camera") -> None:
+        self.name, self._cell = name, cell
+        self._clock: Clock | None = None
+        self._count = -1
+
+    def open(self, clock: Clock) -> None:
+        self._clock = clock
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def due(self) -> float:
+        """When the next picture comes; while none is on its way, the moment at which one may be."""
+        if self._cell.frames:
+            return self._cell.frames[0][0]
+        return self._cell.time + self._cell.setup.delay
+
+    def read(self, wait: float) -> Frame | End | None:
+        assert self._clock is not None
+        until = min(self.due(), self._clock.now() + wait)
+        self._clock.wait_until(until)
+        self._cell.advance(self._clock.now())
+        if not self._cell.frames or self._cell.frames[0][0] > self._clock.now() + 1e-9:
+            return None
+        due, exposed, draw = self._cell.frames.popleft()
+        self._count += 1
+        return Frame(draw(), exposed, max(due, self._clock.now()), self._count)
+
 
 LENGTH, SIZE = 0.15, 0.012
 TOML = """format = 1

@@ -12,11 +12,11 @@ import numpy as np
 from onebend.drive.plan import Hand
 from onebend.drive.robots import ArmState, Skill, ToolForce, ToolPose
 from onebend.drive.run import DriveOutcome
-from onebend.drive.virtual import CellCamera, CellRobot, VirtualCell
+from onebend.drive.virtual import VirtualCell
 from onebend.live.sources import Clock, End, Frame, PlayedClock
 from onebend.recording.folder import read_recording
 from onebend.recording.video import Picture
-from tests.drive.cells import QUICK, described, drive_cell, model_of, planned, setup_for
+from tests.drive.cells import QUICK, CellCamera, CellRobot, described, drive_cell, model_of, planned, setup_for
 
 OFF = (0.002, -0.001, 0.001)  # rad, of the robot's axes
 LIMIT_OVER_PLAN = 2.0  # the force that is allowed, over the planned one

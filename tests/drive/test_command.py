@@ -19,12 +19,12 @@ from onebend.drive import commands, specs
 from onebend.drive.robots import FCI, FrankaArm, pose_of
 from onebend.drive.run import drive
 from onebend.drive.specs import robot_of
-from onebend.drive.virtual import CellCamera, CellRobot, VirtualCell
+from onebend.drive.virtual import VirtualCell
 from onebend.errors import MissingPackageError, RecordingError
 from onebend.live.sources import HostClock, PlayedClock
 from onebend.recording.folder import read_recording
 from onebend.results.model import save_model
-from tests.drive.cells import described, model_of, setup_for
+from tests.drive.cells import CellCamera, CellRobot, described, model_of, setup_for
 
 LIMITS = ("--max-force-N", "1.2", "--max-curvature-per-m", "60", "--max-speed-mm-per-s", "60", "--rest-s", "0.5")
 

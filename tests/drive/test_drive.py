@@ -15,17 +15,30 @@ import pytest
 
 from onebend.beam.stiffness import Scaled
 from onebend.drive.machine import Drive, DriveState, stepped, way_between
-from onebend.drive.plan import Hand
+from onebend.drive.placing import stated_placement
+from onebend.drive.plan import Hand, make_plan
 from onebend.drive.robots import Skill, ToolForce, ToolPose, pose_of
 from onebend.drive.run import SUMMARY, TABLE
-from onebend.drive.virtual import CellCamera, CellRobot, VirtualCell
+from onebend.drive.virtual import VirtualCell
 from onebend.errors import RecordingError
 from onebend.live.sources import End, PlayedClock
 from onebend.pipeline import learn
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe
 from onebend.records import Array
-from tests.drive.cells import QUICK, described, drive_cell, driven, model_of, planned, setup_for, true_point
+from onebend.results.model import StoredModel
+from tests.drive.cells import (
+    QUICK,
+    CellCamera,
+    CellRobot,
+    described,
+    drive_cell,
+    driven,
+    model_of,
+    planned,
+    setup_for,
+    true_point,
+)
 from tests.drive.faults import OFF
 
 FORCE = (-0.02, 0.3)  # N
@@ -119,6 +132,34 @@ def test_a_drive_is_learned_from(tmp_path: Path) -> None:
     band = run.posterior.stiffness.band(np.array([0.1, 0.3, 0.5]))
     true = np.asarray(model_of("linear").beam.stiffness(np.array([0.1, 0.3, 0.5])))
     assert np.all((band.low < true) & (true < band.high))
+
+
+def test_goals_in_time_are_passed_when_their_time_is_over(tmp_path: Path) -> None:
+    rec = read_recording(described(tmp_path, width=640), filmed=False)
+    forces, times = [(0.0, 0.1), (-0.01, 0.2), FORCE], [1.5, 3.0, 4.5]
+    wanted = [(time, np.array(goal_of(force=force))) for time, force in zip(times, forces, strict=True)]
+    plan = make_plan(model_of("linear"), rec, wanted, stated_placement(rec), QUICK)
+    assert [one.waits for one in plan.goals] == [False, False, True]
+    outcome, cell = driven(tmp_path, plan, setup_for(rec, holds=False, sees=math.radians(60.0)))
+    assert outcome.good, outcome.drive.events
+    first, second, last = outcome.drive.outcomes
+    assert [first.seconds, second.seconds] == pytest.approx([1.5, 1.5], abs=0.05)
+    assert last.seconds > 1.5  # it waits until it is there
+    assert np.linalg.norm(last.seen - wanted[-1][1]) < last.said
+    assert cell.largest < QUICK.limits.force
+
+
+@pytest.mark.slow
+def test_a_drive_learns_k_meanwhile_and_goes_on_with_it(tmp_path: Path) -> None:
+    rec = read_recording(described(tmp_path, width=640), filmed=False)
+    setup, true = setup_for(rec, holds=False, sees=math.radians(60.0)), model_of("linear").beam
+    model = StoredModel(replace(true, stiffness=Scaled(1.25, true.stiffness)), None)
+    settings = replace(QUICK, learn=True, rest=2.0, stay=2.0)
+    plan = planned(rec, [goal_of(force=(0.0, 0.35)), goal_of(force=(-0.05, 0.45))], model, settings)
+    outcome, _ = driven(tmp_path, plan, setup)
+    assert outcome.good, outcome.drive.events
+    said = [one.text for one in outcome.drive.events if "k(s) as learned now" in one.text]
+    assert said, outcome.drive.events
 
 
 class Stop:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from importlib.util import find_spec
 from types import ModuleType
 from typing import Any
 from xml.etree import ElementTree as Xml
@@ -138,6 +139,47 @@ def in_usd(rod: RodSample, hinges: int, force: Force, at_s: float) -> Array:
                     )
         body.mass, body.ipos = mass.GetMassAttr().Get(), list(mass.GetCenterOfMassAttr().Get())
         body.inertia, body.explicitinertial = list(mass.GetDiagonalInertiaAttr().Get()), True
+    return settled(spec.compile(), chain_of(rod, hinges), force, at_s)
+
+
+def in_sdf(rod: RodSample, hinges: int, force: Force, at_s: float) -> Array:
+    """Drake reads the SDF where it is installed; else its numbers are handed to MuJoCo one by one."""
+    if find_spec("pydrake") is not None:
+        return in_drake(rod, hinges, force, at_s)
+    model = Xml.fromstring(text_of(rod, "sdf", hinges)).find("model")
+    assert model is not None
+    spec = mujoco.MjSpec()
+    spec.compiler.degree, spec.compiler.balanceinertia = False, True
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+
+    def number(of: Xml.Element, path: str) -> float:
+        return float(of.findtext(path, "nan"))
+
+    links = model.findall("link")
+    joints = {joint.findtext("child"): joint for joint in model.findall("joint")}
+    body, before = spec.worldbody, np.zeros(3)
+    for link in links:
+        pose, name = np.array(link.findtext("pose", "").split(), dtype=float), str(link.get("name"))
+        joint, inertial = joints[name], link.find("inertial")
+        assert inertial is not None
+        turn, place = pose[5], pose[:3]  # of link_0 in the world, of the others in link_0, straight
+        body = body.add_body(
+            name=name, pos=list(place - before), quat=[math.cos(turn / 2), 0.0, 0.0, math.sin(turn / 2)]
+        )
+        if joint.get("type") == "revolute":
+            assert joint.findtext("axis/xyz") == "0 0 1"
+            spring = "axis/dynamics/spring_"
+            body.add_joint(
+                type=mujoco.mjtJoint.mjJNT_HINGE,
+                axis=[0, 0, 1],
+                stiffness=[number(joint, f"{spring}stiffness"), 0.0, 0.0],
+                damping=[number(joint, "axis/dynamics/damping"), 0.0, 0.0],
+                springref=number(joint, f"{spring}reference"),
+            )
+        body.mass = number(inertial, "mass")
+        body.ipos = [float(one) for one in inertial.findtext("pose", "").split()[:3]]
+        body.inertia = [number(inertial, f"inertia/{axis}") for axis in ("ixx", "iyy", "izz")]
+        body.explicitinertial, before = True, place
     return settled(spec.compile(), chain_of(rod, hinges), force, at_s)
 
 
@@ -329,6 +371,6 @@ SIMULATORS: dict[Kind, Bent] = {
     "sofa": in_sofa,
     "usd": in_usd,
     "urdf": in_urdf,
-    "sdf": in_drake,
+    "sdf": in_sdf,
     "python": in_python,
 }

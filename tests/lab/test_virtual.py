@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import Powers, Uniform
-from onebend.errors import MechanicsError, RecordingError
+from onebend.errors import RecordingError
 from onebend.lab.bench import ForceSensor, PushProfile, TagNoise
 from onebend.lab.designs import force_that_bends, random_stiffness
 from onebend.lab.virtual import (
@@ -118,24 +117,7 @@ def test_what_is_said_may_be_wrong() -> None:
     assert wrong.push.at == 0.9
 
 
-def test_a_beam_that_hardly_stretches_is_one_that_does_not() -> None:
-    curved = replace(BEAM, rest_curvature=Powers((0.1, -0.2)))
-    push = replace(PUSH, at_s=0.7)
-    stiff = made(beam=curved, push=push, fps=4.0, axial_stiffness=1e9)
-    np.testing.assert_allclose(stiff.pose, made(beam=curved, push=push, fps=4.0).pose, atol=2e-8)
-
-
-def test_a_pull_along_the_beam_stretches_it_by_hooke() -> None:
-    pull = PushProfile(0.5, direction=0.0, turn=0.0)
-    straight = made(beam=Beam(0.15, Uniform(0.02)), push=pull, fps=4.0, axial_stiffness=50.0)
-    hold = int(np.argmax(np.linalg.norm(straight.force, axis=1)))
-    strain = np.linalg.norm(straight.force[hold]) / 50.0
-    np.testing.assert_allclose(straight.pose[hold, :, 0], 0.15 * np.array([1, 2, 3]) / 3 * (1 + strain), rtol=1e-9)
-
-
 def test_pushes_that_cannot_be_are_refused() -> None:
-    with pytest.raises(MechanicsError, match="axial stiffness"):
-        made(fps=2.0, axial_stiffness=1e-3 * PUSH.peak)
     with pytest.raises(RecordingError, match="rise"):
         PushProfile(1.0, rise=0.0)
     with pytest.raises(RecordingError, match="acts at"):

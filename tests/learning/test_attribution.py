@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.learning.attribution import FORCE_SCALE, GROUPS, LEFT, Attribution, attributions, hidden_by
+from onebend.learning.allowances import LEFT
+from onebend.learning.attribution import FORCE_SCALE, GROUPS, Attribution, attributions, hidden_by
 from onebend.learning.linear import FitProblem, Hyperparameters, RecordingNoise, log_k_map
 from onebend.learning.normal import JointCovariance
 from onebend.learning.optimizer import FitSettings, Optimum

@@ -8,7 +8,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Uniform
-from onebend.learning.allowances import EVERY_ALLOWANCE, AllowanceName
+from onebend.learning.allowances import EVERY_ALLOWANCE
 from onebend.learning.fit_data import FitData, fit_data
 from onebend.learning.parameters import Layout, LearnedMass, Priors, Spline, make_layout
 from onebend.learning.posterior import weight_doubts
@@ -18,7 +18,7 @@ from tests.learning.bench import MARKERS, SOFT, forces, observed
 from tests.made_up import with_stated
 
 MASS, LENGTH, MOST = 0.05, 0.15, 0.6  # kg, m, N: the weight is 0.8 of the largest force
-LEANING: frozenset[AllowanceName] = frozenset({"gravity direction"})
+LEANING: frozenset[str] = frozenset({"gravity direction"})
 
 
 def pulls(count: int, off: float = 0.0) -> Array:
@@ -37,7 +37,7 @@ def heavy() -> Observations:
     return with_stated(made, mass=MASS)
 
 
-def seen(o: Observations, allowances: frozenset[AllowanceName] = EVERY_ALLOWANCE) -> FitData:
+def seen(o: Observations, allowances: frozenset[str] = EVERY_ALLOWANCE) -> FitData:
     return fit_data(o, 0, np.ones(len(o.time), dtype=bool), Spline(8), allowances)
 
 

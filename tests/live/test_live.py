@@ -17,7 +17,7 @@ import pytest
 from onebend.errors import ObservationError, RecordingError
 from onebend.learning.optimizer import FitSettings
 from onebend.live.live import Live, LiveSettings, LiveState
-from onebend.live.played import Arrival, Disturbances, Followed, follow, play
+from onebend.live.played import Arrival, Disturbances, play
 from onebend.live.review import ENDED, Later, Reviewed, ReviewerBeside, Seen, go_on, review
 from onebend.pipeline import learn, learn_observed
 from onebend.recording.entries import GravityEntry
@@ -27,6 +27,7 @@ from onebend.recording.tag_finder import Finder
 from onebend.recording.tags import in_blocks, track_block
 from onebend.recording.video import read_frames
 from onebend.records import Detections
+from tests.live.followed import Followed, follow
 from tests.live.streamed import BEAM, OFFSET, described, frames, log
 
 S = np.linspace(0.05, 0.9, 30)

@@ -110,6 +110,13 @@ def test_no_other_beam_is_suspected_where_the_band_explains_the_error() -> None:
     for likely, suspected in ((0.001, True), (0.005, False), (np.nan, True)):
         found = validated(0.008, 0.0005, likely).validations[0]
         assert bool(another_beam(found)) is suspected
+        assert found.failed is (suspected and bool(np.isfinite(likely)))  # by what is likely, if that is known
+
+
+def test_a_failed_validation_is_a_doubt_about_the_band() -> None:
+    contradicted = replace(fitted(), contradicted_by=("again",))
+    assert "again" in contradicted.doubts[-1]
+    assert not np.any(contradicted.stiffness.band(np.linspace(0.1, 0.9, 5)).identified)
 
 
 def test_what_was_not_validated_is_said_to_be_so_and_a_push_asked_for() -> None:

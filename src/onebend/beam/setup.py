@@ -18,44 +18,49 @@ from functools import cached_property
 from typing import Any, Literal, get_args
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.special import log_ndtr
 
 from onebend.beam.continuation import follow, refine
 from onebend.beam.grid import Modes
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
-from onebend.beam.problem import Resolution, make_problem, share_farther
+from onebend.beam.problem import Problem, Resolution, make_problem, share_farther
+from onebend.beam.sensitivity import of_clamp_angle, of_stiffness, respond
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import LogSpline, RectangularSection, UncertainStiffness
 from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray
 
-Renewed = Literal["tool", "sensor", "mounting"]
+Renewed = Literal["contact", "tool", "sensor", "mounting"]  # contact: the same tool touches the beam elsewhere
 # The parts of a set-up, the unit of each, and with what they are new.
-PARTS: dict[str, tuple[str, Renewed | None]] = {
-    "curvature": ("rad", None),  # (3) Legendre states of the rest curvature; their mean is that of the beam
-    "length": ("1", None),  # its log, over the stated length
-    "section": ("1", None),  # share of the stretch and shear that the set-up's thickness gives, less one
-    "relaxation": ("1", None),  # shares of the stiffness that relax; predictions take k(s), the secant stiffness
-    "along": ("m", None),  # (m) of each tag
-    "across": ("m", None),
-    "turn": ("rad", None),
-    "clamp": ("rad", "mounting"),
-    "clamp gives": ("1", "mounting"),
-    "origin": ("m", "mounting"),  # (2)
-    "log k": ("1", "mounting"),  # (3) level, slope and bow of log k that are a mounting's own
-    "place": ("m", "tool"),
-    "slide": ("m/rad", "tool"),
-    "direction": ("rad", "sensor"),
-    "force error": ("N", "sensor"),  # (4) e1 and e2, x and y in turn
-    "gain": ("1", "sensor"),  # log of the sensor's scale over that of the sensor that taught k(s)
+PARTS: dict[str, tuple[str, tuple[Renewed, ...]]] = {
+    "curvature": ("rad", ()),  # (3) Legendre states of the rest curvature; their mean is that of the beam
+    "length": ("1", ()),  # its log, over the stated length
+    "section": ("1", ()),  # share of the stretch and shear that the set-up's thickness gives, less one
+    "relaxation": ("1", ()),  # shares of the stiffness that relax; predictions take k(s), the secant stiffness
+    "along": ("m", ()),  # (m) of each tag
+    "across": ("m", ()),
+    "turn": ("rad", ()),
+    "clamp": ("rad", ("mounting",)),
+    "clamp gives": ("1", ("mounting",)),
+    "origin": ("m", ("mounting",)),  # (2)
+    "log k": ("1", ("mounting",)),  # (3) level, slope and bow of log k that are a mounting's own
+    "place": ("m", ("contact", "tool")),
+    "slide": ("m/rad", ("tool",)),
+    "direction": ("rad", ("sensor",)),
+    "force error": ("N", ("contact", "sensor")),  # (4) e1 and e2, x and y in turn
+    "gain": ("1", ("sensor",)),  # log of the sensor's scale over that of the sensor that taught k(s)
 }
+_FAR = 30.0  # sds of a normal density: nothing is farther
+_ELSEWHERE = 1e-3  # of s: a push as far from that of the recording is a new contact
 _PASSES = 4  # of the parts that follow the shape: each pass leaves a few percent of their error
 RESOLUTION = Resolution(order=8, widest=0.125)
 _FITTED = 6  # Legendre polynomials of log k that the ideal beam differs by
-_LENGTH_STEP, _CLAMP_STEP, _LOG_K_STEP = 0.002, 0.005, 0.05  # typical: log, rad, log
+_LENGTH_SD, _CLAMP_SD, _LOG_K_SD = 0.005, 0.02, 0.3  # log, rad, log: by which it may differ
+_MISFIT, _EMPHASIS, _LOOSELY = 1e-4, 10.0, 30.0  # of the length; at the points more exact, for the band less
+_ROUNDS, _SMALL = 5, 1e-4
 _SHARES, _TURNS = (0.25, 0.5, 0.75, 1.0), (-0.35, 0.0, 0.35)  # of the largest force, rad: where it is compared
-_PLACES = np.linspace(0.1, 1.0, 10)
+_PLACES, _TIP = np.linspace(0.1, 1.0, 10), np.ones(1)
 
 
 @dataclass(frozen=True)
@@ -74,6 +79,9 @@ class SetUp:
     prior_sd: Array  # (n,) before the data
     force_sd: float = 0.0  # N, of each axis: error of a push that no part explains
     discrepancy: float = 0.0  # of a displacement: error of a point that no part explains
+    angle_discrepancy: float = 0.0  # rad per metre of displacement, likewise of an angle
+    times: tuple[float, ...] = ()  # s, of each share that relaxes
+    reached: tuple[float, ...] = ()  # part of the curvature that a share of one of each time reaches in the push
 
     def __post_init__(self) -> None:
         n = sum(self.sizes.values())
@@ -89,18 +97,37 @@ class SetUp:
         ends = np.cumsum([0, *self.sizes.values()]).tolist()
         return {name: slice(a, b) for name, a, b in zip(self.sizes, ends[:-1], ends[1:], strict=True)}
 
-    def renewed(self, new: Iterable[Renewed] = ()) -> SetUp:
-        """The set-up with another tool, another sensor or a new mounting: their parts have their priors again."""
-        wanted = set(new)
+    @property
+    def origin(self) -> Array:
+        """(2,) m, where the clamp is in the recording's frame."""
+        return self._part(self.mean, "origin", 2)
+
+    def renewed(
+        self, new: Iterable[Renewed] = (), *, push_s: float | None = None, length: float | None = None
+    ) -> SetUp:
+        """The set-up with another tool, another sensor or a new mounting: their parts have their priors again.
+
+        A push stated to be at another `push_s` is a new contact. No tool acts beyond the end of the `length` [m], if
+        it is given.
+        """
+        at, wanted = self.push_s if push_s is None else push_s, set(new)
         if wanted - set(get_args(Renewed)):
             raise MechanicsError(f"new may be of {', '.join(get_args(Renewed))}, got {sorted(wanted)}")
+        if abs(at - self.push_s) > _ELSEWHERE:
+            wanted.add("contact")
         mean, slope, covariance = self.mean.copy(), self.slope.copy(), self.covariance.copy()
         for name, where in self.columns.items():
-            if PARTS[name][1] in wanted:
-                mean[where], slope[where] = 0.0, 0.0
-                covariance[where], covariance[:, where] = 0.0, 0.0
-                covariance[where, where] = np.diag(self.prior_sd[where] ** 2)
-        return replace(self, mean=mean, slope=slope, covariance=covariance)
+            if wanted.isdisjoint(PARTS[name][1]):
+                continue
+            sd = self.prior_sd[where]
+            mean[where], slope[where] = 0.0, 0.0
+            if name == "place" and length is not None:
+                room = min((1.0 - at) * length / sd[0], _FAR)
+                ratio = float(np.exp(-0.5 * room**2 - log_ndtr(room)) / np.sqrt(2.0 * np.pi))  # of density and share
+                mean[where], sd = -ratio * sd, sd * np.sqrt(1.0 - room * ratio - ratio**2)
+            covariance[where], covariance[:, where] = 0.0, 0.0
+            covariance[where, where] = np.diag(sd**2)
+        return replace(self, push_s=at, mean=mean, slope=slope, covariance=covariance)
 
     def draw(self, known: UncertainStiffness, count: int, *, seed: int) -> tuple[Array, Array]:
         """(count, p) coefficients of log k and (count, n) numbers of the set-up, as probable as the data say."""
@@ -116,17 +143,16 @@ class SetUp:
         force: Array,
         at: tuple[Array, Array] | None = None,
         *,
-        push_s: float | None = None,
         gravity: tuple[float, float] = (0.0, 0.0),
     ) -> Bent:
         """The beam under logged forces (T, 2) [N], with log k and numbers `at` (T, p), (T, n); default: their means.
 
-        `push_s`: where the tool is stated to act; default: as in the recording. `beam` gives mass and rest curvature.
+        `beam` gives mass and rest curvature.
         """
         count = len(force)
         coefficients, x = (known.mean[None], self.mean[None]) if at is None else at
         x = np.broadcast_to(x, (count, len(self.mean)))
-        push_s = self.push_s if push_s is None else push_s
+        push_s = self.push_s
 
         def part(name: str, size: int = 1) -> Array:
             return self._part(x, name, size)
@@ -144,7 +170,7 @@ class SetUp:
         base = replace(plain, k=k, length=length, q0=q0, stretch=share * stretch, shear=share * shear)
         beyond, farther = (nodes < push_s).astype(float), share_farther(base, np.full(count, push_s))
         rest = follow(replace(base, alpha0=beam.clamp_angle + part("clamp")))
-        looked_at, solved = np.array([push_s, self.tags[0]]), None
+        looked_at, tags, solved = np.array([push_s, self.tags[0]]), np.array(self.tags), None
         turn, bend = np.zeros((count, 2)), np.zeros((count, 1))
         for _ in range(_PASSES):
             place = part("place") + part("slide") * turn[:, :1]
@@ -154,35 +180,39 @@ class SetUp:
             now = replace(base, alpha0=beam.clamp_angle + alpha0, dead_force=dead)
             solved = follow(now) if solved is None else refine(now, solved.q)
             turn = solved.angle(looked_at) - rest.angle(looked_at)
-            bend = self.bend(solved, rest)[:, None]
+            bend = self.bend(solved.xy(tags), rest.xy(tags))[:, None]
         assert solved is not None
-        return Bent(self, solved, bend[:, 0], x)
+        return Bent(self, solved, bend[:, 0], acting, x)
 
     def ideal(
         self,
         beam: Beam,
         known: UncertainStiffness,
         *,
-        push_s: float | None = None,
         gravity: tuple[float, float] = (0.0, 0.0),
-    ) -> Beam:
+        points: Array = _TIP,
+        draws: int = 60,
+        seed: int = 0,
+    ) -> tuple[Beam, UncertainStiffness]:
         """The inextensible beam on a rigid clamp that goes where this one goes under the same forces on the beam.
 
-        Length, clamp angle and log k differ, the latter by a few Legendre polynomials, so that both meet under forces
-        up to the largest of the recording. Raises `MechanicsError`: no equilibrium under these forces.
+        Length, clamp angle and log k differ, the latter by a few Legendre polynomials, so that places of both meet in
+        the recording's frame under forces up to the largest: above all `points` (S,), and tenths of the length. The
+        band is as wide as these places spread over `draws` of log k and set-up while the sensor shows the same force.
+        Raises `MechanicsError`: no equilibrium under these forces.
         """
-        exact = self._with_zeros("direction", "force error", "gain")
-        size, angle = float(np.hypot(*self.force)), float(np.arctan2(self.force[1], self.force[0]))
-        polar = [(share * size, angle + turn) for share in _SHARES for turn in _TURNS]
-        force = np.array([[f * np.cos(a), f * np.sin(a)] for f, a in polar])
-        there = exact.bent(beam, known, force, push_s=push_s, gravity=gravity)
-        force = force[there.stands]
-        if not len(force):
+        exact, angle = self._with_zeros("direction", "force error", "gain"), float(np.arctan2(*self.force[::-1]))
+        turns, sizes = angle + np.array(_TURNS), np.hypot(*self.force) * np.array(_SHARES)
+        force = (sizes[:, None, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)).reshape(-1, 2)
+        there = exact.bent(beam, known, force, gravity=gravity)
+        if not np.any(there.stands):
             raise MechanicsError("the beam does not stand in its set-up under the forces that it was learned from")
-        wanted = there.solved.xy(_PLACES)[there.stands]
+        places = np.concatenate([_PLACES, points])
+        weights = np.append(np.ones(len(_PLACES)), np.full(len(points), _EMPHASIS))[:, None] / (_MISFIT * beam.length)
+        wanted = np.where(there.stands[:, None, None], there.xy(places), np.nan)
         s = np.linspace(0.0, 1.0, 8 * len(known.mean))
         onto = np.linalg.lstsq(known.basis(s), Modes(_FITTED).curvature(s), rcond=None)[0]
-        loads = push(force, self.push_s if push_s is None else push_s)
+        loads = push(force, self.push_s)
         loads = loads + weight(gravity) if any(gravity) else loads
 
         def of(c: Array) -> Beam:
@@ -195,23 +225,35 @@ class SetUp:
                 thickness=None,
             )
 
-        def away(c: Array) -> Array:
+        c, sd = np.zeros(2 + _FITTED), np.array([_LENGTH_SD, _CLAMP_SD, *[_LOG_K_SD] * _FITTED])
+        longer = _SMALL * np.eye(2 + _FITTED)[0]
+        for _ in range(_ROUNDS):
             solved = follow(make_problem(of(c), loads, RESOLUTION))
-            stands = solved.converged[:, None, None]
-            return np.asarray(np.where(stands, solved.xy(_PLACES) - wanted, beam.length).ravel())
-
-        begin = np.zeros(2 + _FITTED)
-        begin[:2] = self._part(self.mean, "length", 1)[0], self._part(self.mean, "clamp", 1)[0]
-        scale, one = np.array([_LENGTH_STEP, _CLAMP_STEP, *[_LOG_K_STEP] * _FITTED]), np.ones(2 + _FITTED)
-        found = least_squares(  # from one, as differences take a share of the numbers
-            lambda y: away(begin + scale * (y - 1.0)), one, diff_step=0.01, xtol=1e-6, ftol=1e-8, max_nfev=20
+            nodes, k = solved.problem.grid.nodes, solved.problem.k[..., None]
+            changes = of_clamp_angle(solved.problem) + of_stiffness(solved, k * Modes(_FITTED).curvature(nodes))
+            by_length = (
+                follow(make_problem(of(c + longer), loads, RESOLUTION)).xy(places) - solved.xy(places)
+            ) / _SMALL
+            slopes = np.concatenate([by_length[..., None], respond(solved, changes).xy(places)], axis=-1)
+            off = np.nan_to_num(wanted - solved.xy(places))
+            c = c + _least_squares(weights[..., None] * slopes, weights * off, sd, c)
+        ideal, (logs, numbers) = of(c), self.draw(known, draws, seed=seed)
+        shown, rows = self.logged(force, there.bend), np.arange(len(force) - len(_TURNS), len(force))
+        at = np.repeat(logs, len(rows), axis=0), np.repeat(numbers, len(rows), axis=0)
+        drawn = self.bent(beam, known, np.tile(shown[rows], (draws, 1)), at, gravity=gravity)
+        off = drawn.xy(places).reshape(draws, len(rows), *wanted.shape[1:]) - wanted[rows]
+        off = np.where(drawn.stands.reshape(draws, -1)[..., None, None], np.nan_to_num(off), 0.0)
+        by_k, light = weights[..., None] * slopes[rows, ..., 2:], 1.0 / _LOOSELY
+        spread = np.array(
+            [_least_squares(light * by_k, light * weights * one, sd[2:], np.zeros(_FITTED)) for one in off]
         )
-        return of(begin + scale * (found.x - 1.0))
+        assert isinstance(ideal.stiffness, LogSpline)
+        mean, covariance = np.array(ideal.stiffness.coefficients), onto @ (spread.T @ spread / draws) @ onto.T
+        return ideal, replace(known, mean=mean, covariance=covariance, gain_sd=0.0, shape=None, nominal=None)
 
-    def bend(self, solved: Equilibrium, rest: Equilibrium) -> Array:
-        """(T,) displacement of the tags, root mean square, over `moved`."""
-        away = solved.xy(np.array(self.tags)) - rest.xy(np.array(self.tags))
-        return np.asarray(np.sqrt(np.mean(np.sum(away**2, axis=-1), axis=-1)) / self.moved)
+    def bend(self, tags: Array, rest: Array) -> Array:
+        """(T,) displacement of the tags (T, m, 2) from `rest` (m, 2) [m], root mean square, over `moved`."""
+        return np.asarray(np.sqrt(np.mean(np.sum((tags - rest) ** 2, axis=-1), axis=-1)) / self.moved)
 
     def logged(self, force: Array, bend: Array) -> Array:
         """(T, 2) N that the sensor shows for forces (T, 2) on the beam; `bend` (T,) as there."""
@@ -219,6 +261,12 @@ class SetUp:
         on_sensor = force - bend[:, None] * error[:2] - bend[:, None] ** 2 * error[2:]
         turn = np.full(len(force), -self._part(self.mean, "direction", 1)[0])
         return np.asarray(np.exp(self._part(self.mean, "gain", 1)[0]) * _turned(on_sensor, turn))
+
+    def shown(self, unloaded: Problem, solved: Equilibrium, forces: Array) -> Array:
+        """(T, a, 2) N that the sensor shows for `forces` (T, a, 2) on the ideal beam, `solved` under them."""
+        tags = np.array(self.tags)
+        bend = self.bend(solved.xy(tags), follow(unloaded).xy(tags)[0])
+        return np.stack([self.logged(one, bend) for one in np.moveaxis(forces, 1, 0)], axis=1)
 
     def _with_zeros(self, *names: str) -> SetUp:
         mean = self.mean.copy()
@@ -254,6 +302,9 @@ class SetUp:
                 prior_sd=prior_sd,
                 force_sd=float(data["force_sd"]),
                 discrepancy=float(data["discrepancy"]),
+                angle_discrepancy=float(data.get("angle_discrepancy", 0.0)),
+                times=tuple(map(float, data.get("times", ()))),
+                reached=tuple(map(float, data.get("reached", ()))),
             )
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             raise MechanicsError(f"describes no set-up ({error})") from error
@@ -269,6 +320,7 @@ class Bent:
     setup: SetUp
     solved: Equilibrium
     bend: Array  # (T,) see `SetUp.bend`
+    acting: Array  # (T, 2) N, on the beam
     numbers: Array  # (T, n) of the set-up
 
     @property
@@ -294,6 +346,12 @@ def _root(covariance: Array) -> Array:
     """(n, n) symmetric root of a covariance, the same on every machine."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+
+
+def _least_squares(slopes: Array, off: Array, sd: Array, now: Array) -> Array:
+    """(n,) step to the most probable numbers of prior `sd` (n,) about zero, from `now` (n,); noise of sd one."""
+    rows = slopes.reshape(-1, len(sd))
+    return np.asarray(np.linalg.solve(rows.T @ rows + np.diag(sd**-2), rows.T @ off.ravel() - now / sd**2))
 
 
 def _turned(force: Array, angle: Array) -> Array:

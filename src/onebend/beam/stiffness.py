@@ -482,7 +482,7 @@ class UncertainStiffness:
     @property
     def profile(self) -> LogSpline:
         """The most probable k(s)."""
-        return self._with(self.mean)
+        return self.profile_of(self.mean)
 
     def log_at(self, s: Array) -> tuple[Array, Array]:
         """(S,) mean and sd of log k, without the common scale."""
@@ -527,9 +527,10 @@ class UncertainStiffness:
         root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
         drawn = self.mean + rng.standard_normal((count, len(self.mean))) @ root.T
         drawn += self.gain_sd * rng.standard_normal((count, 1))
-        return tuple(self._with(c) for c in drawn)
+        return tuple(self.profile_of(c) for c in drawn)
 
-    def _with(self, coefficients: Array) -> LogSpline:
+    def profile_of(self, coefficients: Array) -> LogSpline:
+        """k(s) of these coefficients (p,)."""
         return LogSpline(tuple(self.knots.tolist()), tuple(coefficients.tolist()), self.degree, self.offset)
 
     def basis(self, s: Array) -> Array:

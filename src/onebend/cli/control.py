@@ -11,16 +11,13 @@ from typing import Annotated, Literal
 
 import numpy as np
 import typer
-from numpy.typing import ArrayLike
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from onebend.beam.model import Beam
-from onebend.beam.setup import Renewed, SetUp
-from onebend.beam.stiffness import LogSpline, UncertainStiffness
 from onebend.cli import BY, common
-from onebend.cli.models import gravity_on, read_trusted
+from onebend.cli.models import SetUpOptions, gravity_on, read_trusted, warn_beyond_learned
 from onebend.control.goals import Between, Goals, read_goals, read_targets
 from onebend.control.loop import Controller, Margins
 from onebend.control.loop_simulation import SETTLED, LoopTrial
@@ -29,6 +26,7 @@ from onebend.control.reach import (
     SURE,
     PredictedError,
     Reach,
+    ReachInSetUp,
     ReachSettings,
     predicted_error,
     reach as solve_reach,
@@ -40,61 +38,19 @@ from onebend.control.trajectory_files import FRAME
 from onebend.errors import ControlError
 from onebend.extras import installed
 from onebend.options import POSITIVE, option
-from onebend.records import Array
 from onebend.report.wording import length_words, significant
 from onebend.results import control_files
-from onebend.results.model import StoredModel, model_file
-
-
-@dataclass(frozen=True)
-class SetUpOptions:
-    """In which set-up the beam is bent."""
-
-    new_tool: bool = option(
-        "--new-tool", False, "Another tool pushes than in the recording: where it acts and how it slides is open."
-    )
-    new_sensor: bool = option(
-        "--new-sensor", False, "Another sensor gives the force: its scale, axes and slow error are open."
-    )
-    remounted: bool = option("--remounted", False, "The beam was clamped anew: its clamp is open.")
-    beam_alone: bool = option(
-        "--beam-alone", False, "Bend the learned k(s) alone: inextensible, rigidly clamped, the force exact."
-    )
-
-    def of(self, stored: StoredModel) -> SetUp | None:
-        """The set-up; None for the beam alone, or where the model has none."""
-        parts: dict[Renewed, bool] = {"tool": self.new_tool, "sensor": self.new_sensor, "mounting": self.remounted}
-        new = [name for name, is_new in parts.items() if is_new]
-        if self.beam_alone and new:
-            raise ControlError("--beam-alone takes no set-up, so nothing in it can be new: give one or the other")
-        if stored.setup is None and new:
-            raise ControlError(
-                "the model has no set-up, so nothing says what is known of it: learn it again with `onebend learn` "
-                "from a push with a force log, or leave --new-tool, --new-sensor and --remounted out"
-            )
-        return None if self.beam_alone or stored.setup is None else stored.setup.renewed(new)
-
-
-def in_setup(
-    stored: StoredModel, setup: SetUp | None, push_s: float, gravity: tuple[float, float]
-) -> tuple[Beam, UncertainStiffness | None]:
-    """The ideal beam that goes where the learned one goes in its set-up, with the relative band of that."""
-    known = stored.uncertain
-    if setup is None or known is None:
-        return stored.beam, known
-    beam = setup.ideal(stored.beam, known, push_s=push_s, gravity=gravity)
-    assert isinstance(beam.stiffness, LogSpline)
-    return beam, replace(known, mean=np.asarray(beam.stiffness.coefficients), nominal=None)
+from onebend.results.model import model_file
 
 
 def show_reach(
-    console: Console, result: Reach, force: Array, error: PredictedError | None, output: Path | None, *, bare: bool
+    console: Console, result: Reach | ReachInSetUp, error: PredictedError | None, output: Path | None
 ) -> None:
-    """`bare`: k(s) alone, without a set-up."""
+    force, bare = result.force, isinstance(result, Reach)
     table = common.facts_table()
     table.add_row(f"force at s = {result.push_s:.3g}", common.force_words(force))
-    if not bare and np.hypot(*(force - result.force)) > 1e-3 * np.hypot(*force):
-        table.add_row("on the beam", f"{common.force_words(result.force)}; the sensor shows the one above")
+    if np.hypot(*(force - result.on_beam)) > 1e-3 * np.hypot(*force):
+        table.add_row("on the beam", f"{common.force_words(result.on_beam)}; the sensor shows the one above")
     if result.settings.moment:
         table.add_row("moment there", f"[bold]{result.moment:.4g} N m[/]")
     x, y = 1e3 * result.reached[:2]
@@ -140,46 +96,27 @@ def reach(
         settings = replace(settings, gravity=gravity_on(stored.beam, gravity))
         wanted = np.array([*goal, *([] if goal_angle is None else [math.radians(goal_angle)])])
         setup, known = where.of(stored), stored.uncertain
-        if settings.moment or settings.method == "paper" or known is None:
-            setup = None
-        if setup is None or known is None:
+        found: Reach | ReachInSetUp
+        if setup is None or known is None or settings.moment or settings.direction or settings.method == "paper":
             found = solve_reach(stored.beam, wanted, push_s=push_at, point_s=point, settings=settings)
-            force, error = found.force, None
-            if found.converged and known is not None:
-                error = predicted_error(stored.beam, known, found)
+            if not found.converged:
+                raise ControlError(found.reason)
+            error = None if known is None else predicted_error(stored.beam, known, found)
         else:
-            there = reach_in_setup(stored.beam, known, setup, wanted, push_s=push_at, point_s=point, settings=settings)
-            found, force, error = there.found, there.force, there.error
-        if not found.converged:
-            raise ControlError(found.reason)
-        warn_beyond_learned(stored.setup, force)
-        summary = control_files.reach_summary(str(model), found, error, force, written_by=BY)
+            found = reach_in_setup(stored.beam, known, setup, wanted, push_s=push_at, point_s=point, settings=settings)
+            error = found.predicted
+        warn_beyond_learned(stored.setup, found.force)
+        summary = control_files.reach_summary(str(model), found, error, written_by=BY)
         if output is not None:
             from onebend.report.control_figures import reaching  # here: loads Matplotlib
 
             tables = partial(control_files.write_reach, result=found)
             figures = {"reach": lambda: reaching(found, error, _within(found))}
             common.save_results(output, overwrite, summary, tables, figures, [model_file(model)])
-    bare = setup is None
-    common.answer(as_json, summary, lambda console: show_reach(console, found, force, error, output, bare=bare), output)
+    common.answer(as_json, summary, lambda console: show_reach(console, found, error, output), output)
 
 
-_BEYOND = 1.5  # times the largest force of the recording
-
-
-def warn_beyond_learned(setup: SetUp | None, forces: ArrayLike) -> None:
-    """Warn of forces (..., 2) [N] that are far beyond those of the recording."""
-    size = float(np.max(np.linalg.norm(np.asarray(forces), axis=-1), initial=0.0))
-    if setup is None or not size > _BEYOND * math.hypot(*setup.force):
-        return
-    common.say_warning(
-        f"The force of {significant(size)} N is {significant(size / math.hypot(*setup.force))} times the largest one "
-        "that the beam was learned from. The answer holds only if the beam is as elastic there.",
-        about="beyond what was learned",
-    )
-
-
-def _within(found: Reach) -> ReachableSet | None:
+def _within(found: Reach | ReachInSetUp) -> ReachableSet | None:
     """Reachable with forces within the bound; None without a bound."""
     settings = found.settings
     if settings.max_force is None:
@@ -329,28 +266,30 @@ def shape(
         stored = read_trusted(model)
         pushes, holding = hands.actuators()
         wanted, pull = read_targets(targets, stored.beam.length), gravity_on(stored.beam, gravity)
-        beam, known = in_setup(stored, where.of(stored), pushes[0].at_s if pushes else 1.0, pull)
+        learned_from = stored.setup
+        stored, setup = where.bending(stored, pushes[0].at_s if pushes else 1.0, pull, wanted.s)
         found = solve_shape(
-            beam,
+            stored.beam,
             wanted,
             pushes=pushes,
             grip=holding,
             gravity=pull,
-            uncertain=known,
+            uncertain=stored.uncertain,
             settings=settings,
         )
+        found = replace(found, setup=setup)
         if found.rms > FAR * stored.beam.length:
             raise ControlError(
                 f"nothing near the targets can be reached: the closest shape is {1e3 * found.rms:.4g} mm rms away from "
                 f"them, the beam {1e3 * stored.beam.length:.4g} mm long. Give targets that the beam can reach"
             )
-        warn_beyond_learned(stored.setup, found.forces)
+        warn_beyond_learned(learned_from, found.forces)
         summary = control_files.shape_summary(str(model), found, written_by=BY)
         if output is not None:
             from onebend.report.control_figures import shaping  # here: loads Matplotlib
 
             tables = partial(control_files.write_shape, result=found)
-            figures = {"shape": lambda: shaping(beam, found)}
+            figures = {"shape": lambda: shaping(stored.beam, found)}
             common.save_results(output, overwrite, summary, tables, figures, [model_file(model), targets])
     common.answer(as_json, summary, lambda console: show_shape(console, found, output), output)
 
@@ -382,14 +321,16 @@ def path(
                 "--max-force-rate-N-per-s limits a push, and there is none: add --push-at, or leave it out"
             )
         weight = gravity_on(stored.beam, gravity)
-        beam, known = in_setup(stored, where.of(stored), pushes[0].at_s if pushes else 1.0, weight)
         by_points: Between = "smooth" if between is None or between == "force" else between
         wanted = read_goals(goals, point_s=point, between=by_points)
+        learned_from = stored.setup
+        stored, setup = where.bending(stored, pushes[0].at_s if pushes else 1.0, weight, wanted.targets.s)
         if between == "force" or (between is None and _alone(wanted, pushes, holding)):
-            wanted = _led(beam, wanted, pushes, holding, weight)
-        way = follow_goals(beam, wanted, pushes=pushes, grip=holding, gravity=weight, settings=settings)
-        warn_beyond_learned(stored.setup, way.forces)
-        sure = None if known is None else path_spread(way, known)
+            wanted = _led(stored.beam, wanted, pushes, holding, weight)
+        way = follow_goals(stored.beam, wanted, pushes=pushes, grip=holding, gravity=weight, settings=settings)
+        way = replace(way, setup=setup)
+        warn_beyond_learned(learned_from, way.forces)
+        sure = None if stored.uncertain is None else path_spread(way, stored.uncertain)
         summary = control_files.path_summary(str(model), way, sure, written_by=BY)
         bag = installed("rosbags")
         if output is not None:

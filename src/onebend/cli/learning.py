@@ -16,7 +16,7 @@ from rich.text import Text
 
 import onebend
 from onebend.cli import BY, common
-from onebend.cli.models import read_trusted
+from onebend.cli.models import SetUpOptions, read_trusted
 from onebend.cli.screens import show_run, show_times, show_validation
 from onebend.learning.design import Plan, PlanSettings
 from onebend.learning.optimizer import FitSettings
@@ -173,6 +173,7 @@ def validate(
     model: common.Model,
     recordings: Recordings,
     *,
+    where: SetUpOptions,
     output: common.Output = None,
     epsilon: Epsilon = None,
     observing: Observing,
@@ -182,7 +183,7 @@ def validate(
 ) -> None:
     with common.clean_errors():
         stored = read_trusted(model)
-        known = observations_beside(model)
+        setup, known = where.of(stored), observations_beside(model)
         with (
             common.place_for(output, learned_files.VALIDATE_FORMAT, overwrite) as place,
             common.progress_of(quiet) as progress,
@@ -193,6 +194,7 @@ def validate(
                 recordings,
                 learned_from=known,
                 stiffness=stored.uncertain,
+                setup=setup,
                 observing=_paired(observing, epsilon),
                 detect=detection_cache(onebend.__version__, None if place is None else place.work).detect,
                 progress=progress,

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from onebend.beam.model import Beam
 from onebend.beam.problem import has_mass
+from onebend.beam.setup import Renewed, SetUp
 from onebend.cli import common
 from onebend.errors import ControlError
+from onebend.options import option
+from onebend.report.wording import significant
 from onebend.results.model import StoredModel, model_file, model_summary, read_model
 
 HEAVY = 100.0  # m/s^2: more is another unit
@@ -49,3 +56,55 @@ def gravity_on(beam: Beam, gravity: tuple[float, float]) -> tuple[float, float]:
     if any(gravity) and not has_mass(beam):
         raise ControlError("the model has no mass, so gravity does nothing: learn with mass_kg, or leave gravity out")
     return gravity
+
+
+@dataclass(frozen=True)
+class SetUpOptions:
+    """In which set-up the beam is bent."""
+
+    new_tool: bool = option(
+        "--new-tool", False, "Another tool pushes than in the recording: where it acts and how it slides is open."
+    )
+    new_sensor: bool = option(
+        "--new-sensor", False, "Another sensor gives the force: its scale, axes and slow error are open."
+    )
+    remounted: bool = option("--remounted", False, "The beam was clamped anew: its clamp is open.")
+    beam_alone: bool = option(
+        "--beam-alone", False, "Bend the learned k(s) alone: inextensible, rigidly clamped, the force exact."
+    )
+
+    def of(self, stored: StoredModel) -> SetUp | None:
+        """The set-up with its new parts; None for the beam alone, or where the model has none."""
+        parts: dict[Renewed, bool] = {"tool": self.new_tool, "sensor": self.new_sensor, "mounting": self.remounted}
+        new = [name for name, is_new in parts.items() if is_new]
+        if self.beam_alone and new:
+            raise ControlError("--beam-alone takes no set-up, so nothing in it can be new: give one or the other")
+        if stored.setup is None and new:
+            raise ControlError(
+                "the model has no set-up, so nothing says what is known of it: learn it again with `onebend learn` "
+                "from a push with a force log, or leave --new-tool, --new-sensor and --remounted out"
+            )
+        return None if self.beam_alone or stored.setup is None else stored.setup.renewed(new)
+
+    def bending(
+        self, stored: StoredModel, push_s: float, gravity: tuple[float, float], points: ArrayLike
+    ) -> tuple[StoredModel, SetUp | None]:
+        """The model with the ideal beam that goes where the learned one goes in this set-up, above all at `points`,
+        and the set-up; the model as it is where there is none."""
+        setup = self.of(stored)
+        return (stored, None) if setup is None else stored.bending(setup, push_s, points, gravity=gravity)
+
+
+_BEYOND = 1.5  # times the largest force of the recording
+
+
+def warn_beyond_learned(setup: SetUp | None, forces: ArrayLike) -> None:
+    """Warn of forces (..., 2) [N] that are far beyond those of the recording."""
+    size = float(np.max(np.linalg.norm(np.asarray(forces), axis=-1), initial=0.0))
+    if setup is None or not size > _BEYOND * math.hypot(*setup.force):
+        return
+    common.say_warning(
+        f"The force of {significant(size)} N is {significant(size / math.hypot(*setup.force))} times the largest one "
+        "that the beam was learned from. The answer holds only if the beam is as elastic there.",
+        about="beyond what was learned",
+    )

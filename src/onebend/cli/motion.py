@@ -11,7 +11,7 @@ import typer
 
 import onebend
 from onebend.cli import BY, common
-from onebend.cli.models import read_trusted
+from onebend.cli.models import SetUpOptions, read_trusted
 from onebend.cli.screens import show_damping, show_frequencies, show_sensed
 from onebend.errors import ResultsError
 from onebend.files.publish import amend
@@ -117,6 +117,7 @@ def sense(
     recording: common.Recording,
     *,
     settings: SenseSettings,
+    where: SetUpOptions,
     bag: Bag = False,
     output: common.Output = None,
     observing: Observing,
@@ -131,9 +132,8 @@ def sense(
         with common.place_for(output, SENSE_FORMAT, overwrite) as work:
             with common.progress_of(quiet) as progress:
                 seen = _observed(stored, recording, observing, progress)
-            found = sense_force(
-                stored.beam, seen, stiffness=stored.uncertain, instruments=stored.bench, settings=settings
-            )
+            setup = where.of(stored)
+            found = sense_force(stored.beam, seen, stiffness=stored.uncertain, setup=setup, settings=settings)
             summary = sense_summary(str(model), found, written_by=BY)
             if work is not None:
                 from onebend.report.control_figures import sensed_regions, sensing  # here: loads Matplotlib

@@ -16,6 +16,7 @@ from onebend.beam.clamped_ends import end_pose, stands
 from onebend.beam.grid import transposed
 from onebend.beam.model import Beam
 from onebend.beam.problem import Rod
+from onebend.beam.setup import SetUp
 from onebend.beam.statics import balance, is_stable, nodal_forces, scaled, solve_batch
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.control.goals import Goals, Targets, check_metres, target_residuals, target_residuals_along
@@ -290,9 +291,18 @@ class FollowedPath:
     margin: Array  # (K,) at knots
     margin_time: Array  # (K,) s
     warnings: tuple[str, ...]
+    setup: SetUp | None = None  # whose sensor shows the forces
+
+    @cached_property
+    def forces(self) -> Array:
+        """(T, a, 2) N: as the sensor of the set-up shows them, without one as they act on the beam."""
+        if self.setup is None:
+            return self.forces_on_beam
+        solved = self.actuators.solved(self.q, self.u)
+        return self.setup.shown(self.actuators.problem, solved, self.forces_on_beam)
 
     @property
-    def forces(self) -> Array:
+    def forces_on_beam(self) -> Array:
         """(T, a, 2) N."""
         return np.asarray(self.u[:, : 2 * len(self.actuators.pushes)].reshape(len(self.time), -1, 2))
 

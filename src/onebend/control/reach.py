@@ -325,6 +325,11 @@ class Reach:
         return np.array([self.pushed.pose(state.q)[:2] for state in self.way])
 
     @property
+    def on_beam(self) -> Array:
+        """(2,) N."""
+        return self.force
+
+    @property
     def error(self) -> float:
         """m, from the goal."""
         return float(np.linalg.norm(self.reached[:2] - self.goal[:2]))
@@ -682,18 +687,61 @@ def _first_order(known: UncertainStiffness, result: Reach) -> Array:
     return np.asarray(moved[:, :-1] @ known.covariance @ moved[:, :-1].T + common)
 
 
-# In its set-up: the ideal beam that goes where the learned one goes is led to the goal, corrected by what is left.
+# In its set-up: Newton's method from the nearest of some forces, each grown from rest.
 
-_CORRECTIONS, _MET = 4, 1e-6  # of the length
+_MET = 1e-6  # of the length
+_SHARES, _AROUND = (
+    np.array([0.1, 0.3, 0.5, 0.75, 1.0, 1.5, 2.5]),
+    24,
+)  # of the largest force of the recording; directions
+_STEP, _LONGEST, _MOST_TRIALS, _SHORTER = 1e-3, 0.3, 40, 0.3  # the first two likewise
+_ON_THE_WAY = 20
 
 
 @dataclass(frozen=True)
 class ReachInSetUp:
     """A force for a goal in the set-up in which the beam was learned, or in one with new parts."""
 
-    found: Reach  # of the ideal beam, under the force on the beam
-    force: Array  # (2,) N, as the sensor of the set-up shows it
-    error: PredictedError | None  # None where the goal is not reached
+    beam: Beam
+    settings: ReachSettings
+    push_s: float
+    point_s: float
+    goal: Array  # (2,) m
+    way: Bent  # P shapes from rest under a force that grows in proportion
+    path: Array  # (P, 3) N, N, N m: that force, as the sensor of the set-up shows it
+    iterations: int
+    predicted: PredictedError  # of the point
+
+    converged, reason, stable, moment, nearest = True, "reached", True, 0.0, None  # as of `Reach`
+
+    @property
+    def force(self) -> Array:
+        """(2,) N, as the sensor shows it."""
+        return np.asarray(self.path[-1, :2])
+
+    @property
+    def on_beam(self) -> Array:
+        """(2,) N."""
+        return np.asarray(self.way.acting[-1])
+
+    @property
+    def reached(self) -> Array:
+        """(3,) m, m, rad: pose of the point."""
+        return np.append(self.path_points[-1], self.way.solved.angle(np.array([self.point_s]))[-1])
+
+    @property
+    def error(self) -> float:
+        """m, from the goal, in the model."""
+        return float(np.linalg.norm(self.path_points[-1] - self.goal))
+
+    @property
+    def path_points(self) -> Array:
+        """(P, 2) m: the point."""
+        return self.shapes(np.array([self.point_s]))[:, 0]
+
+    def shapes(self, s: Array) -> Array:
+        """(P, S, 2) m at `s` (S,)."""
+        return self.way.xy(s)
 
 
 @one_blas_thread
@@ -712,45 +760,68 @@ def reach_in_setup(
 ) -> ReachInSetUp:
     """As `reach`, for the set-up of the recording: its place of the push, clamp, sensor, section and length.
 
-    `new`: what is another one now, its parts drawn from their priors. `push_s`: default as in the recording. The error
-    is that of `draws` from the joint posterior. `uncertain` is the band of `beam`; raises as `reach`.
+    The goal is in the frame of the recording. `new`: what is another one now, its parts drawn from their priors.
+    `push_s`: default as in the recording. The error is that of `draws` from the joint posterior. `uncertain` is the
+    band of `beam`. Raises `ControlError` where the goal cannot be reached, and as `reach`.
     """
-    wanted, now = checked_goal(goal, settings), setup.renewed(new)
-    push_s = setup.push_s if push_s is None else push_s
-    ideal = now.ideal(beam, uncertain, push_s=push_s, gravity=settings.gravity)
-    point, aim = np.array([point_s]), wanted.copy()
-    found = reach(ideal, aim, push_s=push_s, point_s=point_s, settings=settings)
-    if not found.converged:
-        return ReachInSetUp(replace(found, goal=wanted), found.force, None)
-    force, there = _as_logged(now, beam, uncertain, found, push_s)
-    for _ in range(0 if found.moment else _CORRECTIONS):
-        missed = wanted[:2] - there.solved.xy(point)[0, 0]
-        if not np.all(there.stands) or np.max(np.abs(missed)) < _MET * beam.length:
-            break
-        aim[:2] += missed
-        again = reach(ideal, aim, push_s=push_s, point_s=point_s, settings=settings)
-        if not again.converged:
-            break
-        found = again
-        force, there = _as_logged(now, beam, uncertain, found, push_s)
-    at = now.draw(uncertain, draws, seed=seed)
+    wanted, point = checked_goal(goal, settings), np.array([point_s])
+    now = setup.renewed(new, push_s=push_s, length=beam.length)
+
+    def bent(force: Array, at: tuple[Array, Array] | None = None) -> Bent:
+        return now.bent(beam, uncertain, force, at, gravity=settings.gravity)
+
+    found = _force_in_setup(bent, wanted, point, float(np.hypot(*setup.force)), _MET * beam.length)
+    if found is None:
+        alone = reach(beam, wanted, push_s=now.push_s, point_s=point_s, settings=settings)
+        raise ControlError("no force in this set-up puts the point on its goal" if alone.converged else alone.reason)
+    force, iterations = found
+    path = np.linspace(0.0, 1.0, _ON_THE_WAY + 1)[:, None] * force
+    way = bent(path)
+    _refuse_beyond(settings, force, way)
     felt = force + now.force_sd * np.random.default_rng([seed, 1]).standard_normal((draws, 2))
-    drawn = now.bent(beam, uncertain, felt, at, push_s=push_s, gravity=settings.gravity)
-    stands = drawn.stands
-    if np.sum(stands) < max(3, draws // 2):
-        raise ControlError(_NO_BOUND.format(lost=int(np.sum(~stands)), draws=draws))
-    places, straight = drawn.solved.xy(point)[stands, 0], np.array([point_s * beam.length, 0.0])
-    middle = there.solved.xy(point)[0, 0]
-    covariance = np.cov(places.T) + (now.discrepancy * np.linalg.norm(middle - straight)) ** 2 * np.eye(2)
-    error = PredictedError(middle, np.mean(places, axis=0), covariance, float(np.mean(~stands)))
-    reached = np.append(middle, found.reached[2])
-    return ReachInSetUp(replace(found, goal=wanted, reached=reached), force, error)
+    drawn = bent(felt, now.draw(uncertain, draws, seed=seed))
+    if np.sum(drawn.stands) < max(3, draws // 2):
+        raise ControlError(_NO_BOUND.format(lost=int(np.sum(~drawn.stands)), draws=draws))
+    places, there = drawn.xy(point)[drawn.stands, 0], way.xy(point)[:, 0]
+    covariance = np.cov(places.T) + (now.discrepancy * np.linalg.norm(there[-1] - there[0])) ** 2 * np.eye(2)
+    error = PredictedError(there[-1], np.mean(places, axis=0), covariance, float(np.mean(~drawn.stands)))
+    loads = np.column_stack([path, np.zeros(len(path))])
+    return ReachInSetUp(beam, settings, now.push_s, point_s, wanted, way, loads, iterations, error)
 
 
-def _as_logged(
-    setup: SetUp, beam: Beam, uncertain: UncertainStiffness, found: Reach, push_s: float
-) -> tuple[Array, Bent]:
-    """(2,) N as the sensor shows the force that was found, and the beam under it."""
-    rest = refine(found.pushed.loaded(np.zeros(3)), found.pushed.whole(found.pushed.start.q)[None])
-    force = setup.logged(found.force[None], setup.bend(found.solved, rest))
-    return force[0], setup.bent(beam, uncertain, force, push_s=push_s, gravity=found.settings.gravity)
+def _force_in_setup(
+    bent: Callable[[Array], Bent], goal: Array, point: Array, largest: float, met: float
+) -> tuple[Array, int] | None:
+    """(2,) N that the sensor shows where the point is within `met` [m] of the goal, and the number of trials."""
+    turn = np.arange(_AROUND) * (2.0 * np.pi / _AROUND)
+    around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    starts = np.concatenate([np.zeros((1, 2)), *(largest * share * around for share in _SHARES)])
+    there = bent(starts)
+    away = np.where(there.stands, np.linalg.norm(there.xy(point)[:, 0] - goal, axis=1), np.inf)
+    base, change, best, step = starts[np.argmin(away)], np.zeros(2), np.inf, _STEP * largest
+    for trial in range(_MOST_TRIALS):
+        force = base + change
+        there = bent(force + step * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+        at = there.xy(point)[:, 0]
+        off = float(np.linalg.norm(goal - at[0]))
+        if not (np.all(there.stands) and off < best):
+            change = _SHORTER * change
+            continue
+        if off < met:
+            return force, trial
+        base, best = force, off
+        change = np.linalg.lstsq((at[1:] - at[0]).T / step, goal - at[0], rcond=1e-9)[0]
+        change = change * min(1.0, _LONGEST * largest / float(np.hypot(*change)))
+    return None
+
+
+def _refuse_beyond(settings: ReachSettings, force: Array, way: Bent) -> None:
+    """Raises `ControlError` where the force or the curvature is beyond its bound."""
+    problem, size = way.solved.problem, float(np.hypot(*force))
+    bend = float(np.max(np.abs(way.solved.q - problem.q0) / problem.length))
+    for what, value, bound, unit in (
+        ("a force", size, settings.max_force, "N"),
+        ("a curvature", bend, settings.max_curvature, "1/m"),
+    ):
+        if bound is not None and value > bound * (1.0 + 1e-9):
+            raise ControlError(f"in this set-up the goal needs {what} of {value:.3g} {unit}, more than {bound:.3g}")

@@ -13,6 +13,7 @@ from onebend.beam.clamped_ends import end_jacobian, end_pose
 from onebend.beam.continuation import equilibrium, follow
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.problem import Problem, Resolution, Rod, make_problem, refuse_section
+from onebend.beam.setup import SetUp
 from onebend.beam.statics import Equilibrium, balance, found_near, nodal_forces, scaled, tangent
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.control.goals import TargetResiduals, Targets, check_metres, target_residuals
@@ -490,9 +491,18 @@ class ShapeResult:
     converged: bool  # no closer stable shape nearby
     starts: int
     warnings: tuple[str, ...]
+    setup: SetUp | None = None  # whose sensor shows the forces
 
     @property
     def forces(self) -> Array:
+        """(a, 2) N: as the sensor of the set-up shows them, without one as they act on the beam."""
+        if self.setup is None:
+            return self.forces_on_beam
+        shown = self.setup.shown(self.state.actuators.problem, self.state.solved, self.forces_on_beam[None])
+        return np.asarray(shown[0])
+
+    @property
+    def forces_on_beam(self) -> Array:
         """(a, 2) N."""
         return np.asarray(self.state.u[: 2 * len(self.state.actuators.pushes)].reshape(-1, 2))
 

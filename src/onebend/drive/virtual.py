@@ -3,7 +3,7 @@
 The beam is the lab's rod with the effects of a bench; the hand holds it through a spring. Asked for a pose, the hand
 goes there with a lag; asked for a force, it moves until its sensor shows it. The beam follows without swinging. The
 camera draws it as the lab's films do (luma alone, no shadows), and each picture comes late. `VirtualRobot` runs all of
-it in a process of its own in real time; `CellRobot` and `CellCamera` in this one, on any clock.
+it in a process of its own in real time.
 """
 
 from __future__ import annotations
@@ -269,76 +269,6 @@ def _blank(setup: VirtualSetup) -> Picture:
     camera = setup.rec.camera
     assert camera is not None
     return np.zeros((camera.height, camera.width), np.uint8)
-
-
-# On any clock, in this process.
-
-
-class CellRobot:
-    """The robot of a cell."""
-
-    can: frozenset[Skill] = frozenset(("pose", "force"))
-    timing = StampTiming(delay=0.0, delay_error=0.005)
-
-    def __init__(self, cell: VirtualCell, name: str = "the virtual robot") -> None:
-        self.cell, self.name = cell, name
-        self.held_at = math.nan  # s, when it was last told to hold
-        self._clock: Clock | None = None
-
-    def connect(self, clock: Clock) -> None:
-        self._clock = clock
-
-    def state(self) -> ArmState:
-        assert self._clock is not None
-        self.cell.advance(self._clock.now())
-        return self.cell.state()
-
-    def command(self, wanted: ToolPose | ToolForce) -> None:
-        self.cell.command(wanted)
-
-    def hold(self) -> None:
-        self.held_at = self.cell.time
-        self.cell.command(None)
-
-    def release(self) -> None:
-        self.cell.command(None)
-
-    def close(self) -> None:
-        """Nothing is held."""
-
-
-class CellCamera:
-    """The camera of a cell; a played source."""
-
-    timing = StampTiming(host=True, delay=0.0, delay_error=0.005)
-
-    def __init__(self, cell: VirtualCell, name: str = "the virtual camera") -> None:
-        self.name, self._cell = name, cell
-        self._clock: Clock | None = None
-        self._count = -1
-
-    def open(self, clock: Clock) -> None:
-        self._clock = clock
-
-    def close(self) -> None:
-        """Nothing is held."""
-
-    def due(self) -> float:
-        """When the next picture comes; while none is on its way, the moment at which one may be."""
-        if self._cell.frames:
-            return self._cell.frames[0][0]
-        return self._cell.time + self._cell.setup.delay
-
-    def read(self, wait: float) -> Frame | End | None:
-        assert self._clock is not None
-        until = min(self.due(), self._clock.now() + wait)
-        self._clock.wait_until(until)
-        self._cell.advance(self._clock.now())
-        if not self._cell.frames or self._cell.frames[0][0] > self._clock.now() + 1e-9:
-            return None
-        due, exposed, draw = self._cell.frames.popleft()
-        self._count += 1
-        return Frame(draw(), exposed, max(due, self._clock.now()), self._count)
 
 
 # In real time, in a process of its own.

@@ -14,7 +14,7 @@ from onebend.beam.model import Beam
 from onebend.errors import ExportError
 from onebend.export import documents, source
 from onebend.export.chain import HINGES
-from onebend.export.sample import PARTS, Request, RodSample, left_out, rod_sample
+from onebend.export.sample import PARTS, Request, RodSample, axial_bands, left_out, rod_sample
 from onebend.files.single_file import as_csv, as_parquet
 from onebend.progress import one_blas_thread
 from onebend.records import Array
@@ -24,8 +24,8 @@ MOST_SAMPLES = 10_000
 
 
 def columns(rod: RodSample, samples: tuple[RodSample, ...] = ()) -> dict[str, Array]:
-    """Name, with unit, to (201,) values: s, k and its 95 % band, EI and its band, EA and kGA, curvature at rest, mass
-    per metre, and k of each sample.
+    """Name, with unit, to (201,) values: s, k and its 95 % band, EI and its band, EA and kGA and their bands, curvature
+    at rest, mass per metre, and k of each sample.
 
     The band is NaN where none was learned, EA and kGA where they are not known; `identified` is 0 where the data did
     not tell or the band is not to be trusted.
@@ -36,7 +36,8 @@ def columns(rod: RodSample, samples: tuple[RodSample, ...] = ()) -> dict[str, Ar
     if rod.uncertain is not None:
         band = rod.uncertain.band(s)
         low, high, identified = band.low, band.high, band.identified.astype(float)
-    stretch, shear = rod.axial(s) if rod.stretches else (unknown, unknown)
+    axial = dict(zip(("EA", "kGA"), rod.axial(s) if rod.stretches else (unknown, unknown), strict=True))
+    bands = axial_bands(rod, s)
     digits = len(str(len(samples)))
     return {
         "s": s,
@@ -48,8 +49,8 @@ def columns(rod: RodSample, samples: tuple[RodSample, ...] = ()) -> dict[str, Ar
         "EI_lo_N_m2": beam.length * low,
         "EI_hi_N_m2": beam.length * high,
         "identified": identified,
-        "EA_N": stretch,
-        "kGA_N": shear,
+        **{f"{name}_N": value for name, value in axial.items()},
+        **{f"{name}_{end}_N": one for name, band in bands.items() for end, one in zip(("lo", "hi"), band, strict=True)},
         "rest_curvature_1_m": np.asarray(beam.rest_curvature(s)) / beam.length,
         "mass_per_length_kg_m": np.asarray(beam.mass_per_length(s)),
     } | {f"k_{i:0{digits}d}_N_m": np.asarray(one.beam.stiffness(s)) for i, one in enumerate(samples, 1)}
@@ -119,7 +120,7 @@ KINDS: dict[Kind, ExportKind] = {
     "urdf": ExportKind(documents.urdf, ".urdf", "URDF, the springs in `<gazebo>` elements",
                        "a reader of plain URDF sees no springs", _RIGID, "0.02 % L", "mujoco 4.0"),
     "sdf": ExportKind(documents.sdf, ".sdf", "SDF 1.9, a chain of hinges with springs",
-                      "gz sim {path}", _RIGID, "0.02 % L", "drake 1.51"),
+                      "gz sim {path}", _RIGID, "0.02 % L", "mujoco 4.0; drake 1.51"),
     "python": ExportKind(source.function, ".py", "a Python file with `shape(force, at_s)`, which needs no package",
                          "python -i {path}", _TABLE, "1e-9 L; 0.04 % L where k(s) steps"),
     "sheet": ExportKind(_sheet, ".pdf", "a page for people, and the table beside it", "open {path}", _ALL),

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from onebend.beam.model import Beam
+from onebend.beam.setup import SetUp
 from onebend.beam.stiffness import POISSON, SHAPE_LEVELS, SHAPE_PLACES, LogSpline, Polyline, UncertainStiffness, Uniform
 from onebend.errors import ExportError, MechanicsError
 from onebend.records import Array, StatedSection
@@ -56,10 +57,12 @@ class RodSample:
     sites: tuple[float, ...] = ()  # places of the tags
     push: tuple[tuple[float, float], float] | None = None  # the largest recorded force [N] and its place
     uncertain: UncertainStiffness | None = None
+    setup: SetUp | None = None  # jointly with k(s): how it stretches, shears and relaxes
+    softer: float = 1.0  # factor on the stretch and shear that the stated section gives
     told: tuple[tuple[str, str], ...] = ()  # how it was measured, for people
 
     def __post_init__(self) -> None:
-        if not all(0.0 < part.share < 1.0 and part.time > 0.0 for part in self.relaxation) or self.relaxed <= 0.0:
+        if not all(0.0 <= part.share < 1.0 and part.time > 0.0 for part in self.relaxation) or self.relaxed <= 0.0:
             raise ExportError("relaxing shares lie between 0 and 1, together too, and their times are positive")
         if self.damping_time is not None and not TIMES[0] <= self.damping_time <= TIMES[1]:
             raise ExportError(
@@ -112,7 +115,7 @@ class RodSample:
         sizes = (self.section.thickness, self.section.thickness if self.section.inner is None else self.section.inner)
         outer, inner = (Polyline(tuple(self.section.s.tolist()), tuple(one.tolist()))(s) for one in sizes)
         squared, factor = _GYRATION[self.section.shape](outer, inner)
-        stretch = k * length / squared
+        stretch = k * length / (self.softer * squared)
         return stretch, factor * stretch / (2.0 * (1.0 + POISSON))
 
 
@@ -162,6 +165,8 @@ class ModelParts(Protocol):
     @property
     def uncertain(self) -> UncertainStiffness | None: ...
     @property
+    def setup(self) -> SetUp | None: ...
+    @property
     def section(self) -> StatedSection | None: ...
     @property
     def damping(self) -> Damping | None: ...
@@ -188,6 +193,8 @@ def sample_of_model(
         section=stored.section,
         uncertain=stored.uncertain,
     )
+    if stored.setup is not None and stored.uncertain is not None:
+        rod = in_setup(replace(rod, setup=stored.setup), stored.setup.mean)
     made = max(stored.bench.pushes, key=lambda push: push.largest, default=None) if stored.bench else None
     if made is None:
         return replace(rod, told=told)
@@ -195,20 +202,80 @@ def sample_of_model(
     return replace(rod, told=told, push=(force, made.at_s))
 
 
-def drawn(rod: RodSample, count: int, *, seed: int) -> tuple[RodSample, ...]:
-    """Beams as probable as the band says; at every place and level the quantiles of many are the band's.
+_LEAST = 1e-3  # of a share: less is none
+_MOST_REACHED = 0.9  # of the curvature, by what relaxes
 
-    `UncertainStiffness.draw` gives normals. Where the band has another `shape`, the values at a place are moved to the
-    quantiles of that shape, in the same order.
+
+def in_setup(rod: RodSample, numbers: Array) -> RodSample:
+    """The beam with the stretch, shear and relaxation that the `numbers` (n,) of its set-up say."""
+    setup = rod.setup
+    assert setup is not None
+    part = {name: numbers[where] for name, where in setup.columns.items()}
+    if "section" in part:
+        share = max(1.0 + float(part["section"][0]), 0.0)
+        if rod.section is not None and rod.section.shape in _GYRATION:
+            rod = replace(rod, softer=max(share, _LEAST))
+        else:
+            thickness = setup.thickness * math.sqrt(share) if share > _LEAST else None
+            rod = replace(rod, beam=replace(rod.beam, thickness=thickness))
+    shares = np.maximum(part.get("relaxation", np.zeros(0)), 0.0)
+    if not setup.times or not np.any(shares > _LEAST):
+        return replace(rod, relaxation=(), instantaneous=1.0)
+    shares = shares / max(1.0, float(shares.sum()) / _MOST_REACHED)
+    reached = min(float(shares @ setup.reached), _MOST_REACHED)
+    relaxation = tuple(Relaxing(float(a), tau) for a, tau in zip(shares, setup.times, strict=True))
+    return replace(rod, relaxation=relaxation, instantaneous=1.0 / (1.0 - reached))
+
+
+def drawn(rod: RodSample, count: int, *, seed: int) -> tuple[RodSample, ...]:
+    """Beams as probable as the data say, k(s) jointly with stretch, shear and relaxation; at every place and level the
+    quantiles of many are the band's.
+
+    The draws of log k are normal. Where the band has another `shape`, the values at a place are moved to the quantiles
+    of that shape, in the same order.
 
     Raises `ExportError`: the beam has no band.
     """
-    if rod.uncertain is None:
+    known, setup = rod.uncertain, rod.setup
+    if known is None:
         raise ExportError(
             "this beam has no band to draw from; learn it with `onebend learn`, or export without samples"
         )
-    profiles = _shaped(rod.uncertain.draw(count, seed=seed), rod.uncertain)
-    return tuple(replace(rod, beam=replace(rod.beam, stiffness=k), uncertain=None) for k in profiles)
+    if setup is None:
+        profiles, numbers = known.draw(count, seed=seed), None
+    else:
+        coefficients, numbers = setup.draw(known, count, seed=seed)
+        gain = known.gain_sd * np.random.default_rng([seed, 1]).standard_normal((count, 1))
+        profiles = tuple(known.profile_of(one) for one in coefficients + gain)
+    beams = (replace(rod, beam=replace(rod.beam, stiffness=k), uncertain=None) for k in _shaped(profiles, known))
+    if numbers is None:
+        return tuple(beams)
+    return tuple(in_setup(one, at) for one, at in zip(beams, numbers, strict=True))
+
+
+DRAWS = 400  # for the bands of what is no k(s)
+_ENDS = (0.025, 0.975)
+
+
+def axial_bands(rod: RodSample, s: Array) -> dict[str, Array]:
+    """(2, S) N, the 95 % bands of "EA" and "kGA" at `s`; NaN where they, or the band of k(s), are not known."""
+    if rod.uncertain is None or not rod.stretches:
+        return dict.fromkeys(("EA", "kGA"), np.full((2, len(s)), np.nan))
+    values = np.array([one.axial(s) for one in drawn(rod, DRAWS, seed=0)])  # infinite where a draw does not stretch
+    low, high = np.quantile(values, _ENDS, axis=0, method="inverted_cdf")
+    return {"EA": np.stack([low[0], high[0]]), "kGA": np.stack([low[1], high[1]])}
+
+
+def relaxing_bands(rod: RodSample) -> tuple[tuple[float, float], ...]:
+    """The 95 % band of the share that relaxes with each time; () where no band is known."""
+    if rod.uncertain is None or rod.setup is None or not rod.relaxation:
+        return ()
+    shares = {part.time: np.zeros(DRAWS) for part in rod.relaxation}
+    for i, one in enumerate(drawn(rod, DRAWS, seed=0)):
+        for part in one.relaxation:
+            shares[part.time][i] = part.share
+    low, high = np.quantile(np.array(list(shares.values())), _ENDS, axis=1)
+    return tuple(zip(low.tolist(), high.tolist(), strict=True))
 
 
 def _shaped(profiles: tuple[LogSpline, ...], uncertain: UncertainStiffness) -> tuple[LogSpline, ...]:

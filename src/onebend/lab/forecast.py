@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from math import isfinite, isnan, nan
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -258,22 +259,12 @@ _REVERSAL_SHARE = 0.75
 _CLOCK_SHARE, _RELATION_MISFIT = 0.28, 0.03  # of the push's time; of the peak
 
 
-@dataclass(frozen=True)
-class RehearsalInstruments:
-    """Instruments, and every push's own errors; one sd."""
-
-    bench: Instruments
-    load: float  # N per axis: error that comes with the load
-    place: float = PLACE_SD  # m, along the beam
-    direction: float = DIRECTION_SD  # rad, of the log's axes
-
-
 def even_push(push: PushProfile) -> PlannedPush:
     """The same push growing evenly from zero, in its middle direction."""
     return PlannedPush(push.at_s, push.direction, push.peak)
 
 
-def instruments(setup: Setup) -> RehearsalInstruments:
+def instruments(setup: Setup) -> Instruments:
     """Before any push; if pushes differ, those of the longest."""
     push = max(setup.pushes, key=_seconds)
     seconds, tags = _seconds(push), len(setup.tags)
@@ -281,7 +272,7 @@ def instruments(setup: Setup) -> RehearsalInstruments:
     sd = {"curvature": [CURVATURE_SD] * 3, "turn": [setup.turn_sd] * tags}
     prior = np.concatenate([sd.get(name, [setup.placement_sd] * tags) for name in shared])
     clock = clock_sd(setup.sensor, push) if math.isnan(setup.clock_sd) else setup.clock_sd
-    bench = Instruments(
+    return Instruments(
         length=setup.beam.length,
         tags=setup.tags,
         tag_sd=np.tile([setup.noise.white_xy, setup.noise.white_xy, setup.noise.white_angle], (tags, 1)),
@@ -306,10 +297,9 @@ def instruments(setup: Setup) -> RehearsalInstruments:
         shared=shared,
         shared_slope=np.zeros((len(prior), FUNCTIONS)),
         shared_covariance=np.diag(prior**2),
-        place_sd=0.0,  # the error of the place is in `RehearsalInstruments`
-        direction_sd=0.0,
+        place_sd=PLACE_SD,
+        direction_sd=DIRECTION_SD,
     )
-    return RehearsalInstruments(bench, load=_REVERSAL_SHARE * setup.sensor.reversal)
 
 
 def clamp_sd(setup: Setup, own: float) -> float:
@@ -336,6 +326,7 @@ def force_doubt(sensor: ForceSensor, push: PushProfile) -> ForceDoubt:
         cutoff=cutoff,
         walk=float(walk),
         frame=float(white),
+        load=_REVERSAL_SHARE * sensor.reversal,
     )
 
 
@@ -353,7 +344,6 @@ def _seconds(push: PushProfile) -> float:
 SPLINE = Spline(FUNCTIONS)
 BASIS = SPLINE.basis(PLACES)
 _KNOWN_SHARE = 1e-3  # share of its sd left of a known nuisance
-_LEAST_SD = 1e-9  # sd of a known quantity
 _DRAWS = Draws(chains=36, burn=150, kept=100)  # of the prior's sizes: the band's sd is good to about 3 %
 
 
@@ -410,65 +400,48 @@ def uncertainty_budget(setup: Setup, predicted: PredictedBand) -> tuple[BudgetEn
     return tuple(sorted(entries, key=lambda entry: -entry.share))
 
 
-def known_exactly(used: RehearsalInstruments) -> dict[str, RehearsalInstruments]:
+def known_exactly(bench: Instruments) -> dict[str, Instruments]:
     """By the name of the nuisance that is known."""
-    bench, e = used.bench, _KNOWN_SHARE
-    force = bench.force
-    steady = replace(force.times(e), frame=force.frame)
-    out = {
-        "force's gain": replace(bench, gain_sd=0.0),
-        "force's noise": replace(bench, force=replace(force, frame=e * force.frame)),
-        "tags' places": replace(bench, placement_sd=e * bench.placement_sd, origin_sd=e * bench.origin_sd),
-        "tags' turns": replace(bench, turn_sd=e * bench.turn_sd),
-        "clamp's direction": replace(bench, clamp_sd=e * bench.clamp_sd),
-        "clock": replace(bench, clock_sd=e * bench.clock_sd),
-        "camera's noise": replace(bench, tag_sd=0.01 * bench.tag_sd),
+    force, e = bench.force, _KNOWN_SHARE
+    better: dict[str, dict[str, Any]] = {
+        "force's gain": {"gain_sd": 0.0},
+        "force's noise": {"force": replace(force, frame=e * force.frame)},
+        "force's bias and slow error": {"force": replace(force.times(e), frame=force.frame)},
+        "force's axes": {"direction_sd": e * bench.direction_sd},
+        "push's place": {"place_sd": e * bench.place_sd},
+        "tags' places": {"placement_sd": e * bench.placement_sd, "origin_sd": e * bench.origin_sd},
+        "tags' turns": {"turn_sd": e * bench.turn_sd},
+        "clamp's direction": {"clamp_sd": e * bench.clamp_sd},
+        "clock": {"clock_sd": e * bench.clock_sd},
+        "camera's noise": {"tag_sd": 0.01 * bench.tag_sd},
+        "shape at rest": {"curvature_sd": e * bench.curvature_sd},
     }
-    if bench.curvature_sd > 0.0:
-        out["shape at rest"] = replace(bench, curvature_sd=e * bench.curvature_sd)
-    if bench.gain_sd == 0.0:
-        del out["force's gain"]
-    if bench.clock_sd == 0.0:
-        del out["clock"]
-    return {name: replace(used, bench=better) for name, better in out.items()} | {
-        "force's bias and slow error": replace(used, bench=replace(bench, force=steady), load=e * used.load),
-        "push's place": replace(used, place=e * used.place),
-        "force's axes": replace(used, direction=e * used.direction),
-    }
+    known = (("force's gain", bench.gain_sd), ("clock", bench.clock_sd), ("shape at rest", bench.curvature_sd))
+    absent = {name for name, sd in known if sd == 0.0}
+    return {name: replace(bench, **one) for name, one in better.items() if name not in absent}
 
 
-def derivatives(setup: Setup, used: RehearsalInstruments) -> tuple[TagDerivatives, ...]:
-    """Derivatives of the tags' poses along every push with all unknowns.
-
-    After the coefficients of log k: the push's place [m], direction [rad] and force [N].
-    """
-    bench, mass, out = used.bench, mass_of(setup.beam), []
+def derivatives(setup: Setup, bench: Instruments) -> tuple[TagDerivatives, ...]:
+    """Derivatives of the tags' poses along every push with all unknowns."""
+    mass, out = mass_of(setup.beam), []
     for push in setup.pushes:
         solved = solve_push(setup.beam, bench, even_push(push))
         on_nodes = SPLINE.basis(solved.problem.grid.nodes)
-        along_push = tag_derivatives(solved, bench, even_push(push), mass, on_nodes, np.asarray(bench.tags))
-        own = [along_push.blocks[name] for name in ("place", "direction", "push")]  # m, rad, N x and y
-        stiffness = np.concatenate([along_push.blocks["stiffness"], *own], axis=-1)
-        out.append(replace(along_push, blocks=along_push.blocks | {"stiffness": stiffness}))
+        out.append(tag_derivatives(solved, bench, even_push(push), mass, on_nodes, np.asarray(bench.tags)))
     return tuple(out)
 
 
-def information_of(setup: Setup, used: RehearsalInstruments, along_pushes: tuple[TagDerivatives, ...]) -> Array:
+def information_of(setup: Setup, bench: Instruments, along_pushes: tuple[TagDerivatives, ...]) -> Array:
     """(p, p) information of all pushes on the coefficients of log k; they share tags and rest shape."""
-    bench = used.bench
     chosen = np.arange(len(bench.tags), dtype=np.int64)
-    sd = np.maximum([used.place, used.direction, used.load, used.load], _LEAST_SD)
-    first, size = SPLINE.count, SPLINE.count + len(sd) + bench.shared_size
-    last = np.arange(first, first + len(sd))
-    order = np.concatenate([np.setdiff1d(np.arange(size), last), last])
-    joint = np.zeros((first + bench.shared_size, first + bench.shared_size))
-    for along_push, push in zip(along_pushes, setup.pushes, strict=True):
-        of_push = joint_information(along_push, bench, even_push(push), chosen)
-        joint += eliminate(of_push[np.ix_(order, order)], len(sd), sd**-2.0)
-    return eliminate(joint, bench.shared_size, alone(bench))
+    joint = sum(
+        joint_information(along_push, bench, even_push(push), chosen)
+        for along_push, push in zip(along_pushes, setup.pushes, strict=True)
+    )
+    return eliminate(np.asarray(joint), bench.shared_size, alone(bench))
 
 
-def posterior_of(setup: Setup, used: RehearsalInstruments, information: Array) -> PredictedBand:
+def posterior_of(setup: Setup, bench: Instruments, information: Array) -> PredictedBand:
     """The posterior for noise-free data with this information (p, p)."""
     k = np.asarray(setup.beam.stiffness(PLACES))
     truth = np.linalg.lstsq(BASIS, np.log(k), rcond=None)[0]
@@ -477,12 +450,12 @@ def posterior_of(setup: Setup, used: RehearsalInstruments, information: Array) -
     )
     prior = equivalent_prior(posterior.covariance, information)
     bias = np.asarray(BASIS @ (posterior.mean - truth))
-    return _band(k, bias, prior, information, used.bench.gain_sd)
+    return _band(k, bias, prior, information, bench.gain_sd)
 
 
-def with_information(now: PredictedBand, used: RehearsalInstruments, information: Array) -> PredictedBand:
+def with_information(now: PredictedBand, bench: Instruments, information: Array) -> PredictedBand:
     """The same beam with other data; equivalent prior and bias are kept."""
-    return _band(now.k, now.bias, now.prior, information, used.bench.gain_sd)
+    return _band(now.k, now.bias, now.prior, information, bench.gain_sd)
 
 
 def equivalent_prior(covariance: Array, information: Array) -> Array:
@@ -580,7 +553,7 @@ def _tags(setup: Setup) -> Iterator[Candidate]:
 
 def _pushes(setup: Setup) -> Iterator[Candidate]:
     first = setup.pushes[0]
-    bench = replace(instruments(setup).bench, curvature=sharpest(setup))
+    bench = replace(instruments(setup), curvature=sharpest(setup))
     places = tuple(s for s in AT_S if s >= min(setup.tags))
     side = 1.0 if np.sin(first.direction) >= 0.0 else -1.0
     for reach in largest_pushes(setup.beam, bench, places, side * np.deg2rad(DIRECTIONS_DEG), LIMITS):
@@ -597,7 +570,7 @@ def _pushes(setup: Setup) -> Iterator[Candidate]:
 
 def sharpest(setup: Setup) -> float:
     """rad: largest |q - q0| of the planned pushes."""
-    bench, bent = instruments(setup).bench, []
+    bench, bent = instruments(setup), []
     for push in setup.pushes:
         solved = solve_push(setup.beam, bench, even_push(push))
         bent.append(float(np.max(np.abs(solved.q - solved.problem.q0))))

@@ -5,11 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import multiprocessing
 import time
-from collections.abc import Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -35,7 +34,7 @@ from onebend.learning.design import PLACES
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
 from onebend.learning.start import start_of
-from onebend.progress import Progress, Silent, interrupts_held, leave_interrupts_to_parent, one_blas_thread, track
+from onebend.progress import Progress, Silent, in_processes, one_blas_thread, track
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, Observations
 from onebend.report.style import BLUE, FAINT, INK, MUTED, ORANGE, blank, styled
 from onebend.report.wording import direction_words
@@ -150,7 +149,8 @@ def simulate(
     file = None if keep is None else keep / f"runs-{key_of(setup)}.jsonl"
     done = {} if file is None else read_runs(file)
     todo = [seed for seed in wanted if seed not in done]
-    for run in track(progress, "pushing simulated beams", _each(setup, todo, jobs), len(todo)):
+    made = in_processes(partial(simulate_run, setup), todo, jobs)
+    for run in track(progress, "pushing simulated beams", made, len(todo)):
         done[run.seed] = run
         if file is not None:
             with file.open("a", encoding="utf-8") as lines:
@@ -174,25 +174,6 @@ def read_runs(file: Path) -> dict[int, SimulatedRun]:
 def key_of(setup: forecast.Setup) -> str:
     """Hash of all that a run depends on except its seed."""
     return hashlib.sha256(repr(setup).encode()).hexdigest()[:16]
-
-
-def _each(setup: forecast.Setup, seeds: list[int], jobs: int) -> Iterator[SimulatedRun]:
-    if jobs <= 1 or len(seeds) <= 1:
-        yield from (simulate_run(setup, seed) for seed in seeds)
-        return
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(jobs, len(seeds)), mp_context=context, initializer=leave_interrupts_to_parent)
-    waiting: set[Future[SimulatedRun]] = set()
-    try:
-        with interrupts_held():
-            waiting = {pool.submit(simulate_run, setup, seed) for seed in seeds}
-        for future in as_completed(tuple(waiting)):
-            waiting.discard(future)
-            yield future.result()
-    finally:
-        for process in list((getattr(pool, "_processes", None) or {}).values()) if waiting else ():
-            process.terminate()
-        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def errors_of(runs: Iterable[SimulatedRun]) -> tuple[Array, Array, BoolArray]:

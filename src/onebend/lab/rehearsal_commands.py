@@ -18,7 +18,7 @@ from rich.table import Table
 import onebend
 from onebend.cli import BY, common
 from onebend.cli.control import show_loop
-from onebend.cli.models import gravity_on, read_trusted
+from onebend.cli.models import SetUpOptions, gravity_on, read_trusted, warn_beyond_learned
 from onebend.control import loop_simulation
 from onebend.control.loop import controller
 from onebend.errors import RecordingError
@@ -94,12 +94,15 @@ def loop(
     gravity: common.Gravity = (0.0, 0.0),
     camera: loop_simulation.LoopCamera,
     asked: SimulatedLoop,
+    where: SetUpOptions,
     output: common.Output = None,
     overwrite: common.Overwrite = False,
     as_json: common.Json = False,
 ) -> None:
     with common.clean_errors():
         stored = read_trusted(model)
+        learned_from, weight = stored.setup, gravity_on(stored.beam, gravity)
+        stored, _ = where.bending(stored, push_at, weight, point)
         beam = stored.beam
         beams = (
             loop_simulation.wrong_beams(beam, asked.k_error)
@@ -107,14 +110,13 @@ def loop(
             else loop_simulation.drawn_beams(beam, stored.uncertain, asked.draws)
         )
         settings = loop_simulation.trial_settings(camera.fps, camera.delay, asked.k_error, asked.max_force)
-        control = controller(
-            beam, goal, push_s=push_at, point_s=point, gravity=gravity_on(beam, gravity), settings=settings
-        )
+        control = controller(beam, goal, push_s=push_at, point_s=point, gravity=weight, settings=settings)
+        warn_beyond_learned(learned_from, control.reference.ends)
         feel = felt_by(
             asked.felt,
             control,
             stiffness=stored.uncertain,
-            instruments=stored.bench,
+            setup=learned_from,
             force_off=asked.force_off,
             hidden=asked.hidden,
         )

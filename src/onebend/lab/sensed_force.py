@@ -9,16 +9,26 @@ from typing import Literal
 import numpy as np
 
 from onebend.beam.model import Beam
+from onebend.beam.setup import SetUp
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.control.loop import Controller, Exposure, ForceSense, LoggedForce
 from onebend.control.loop_simulation import along
 from onebend.errors import ControlError
 from onebend.lab.bench import PushProfile, TagNoise, filmed
-from onebend.lab.virtual import VirtualBench, VirtualTag, from_base, markers_of, tag_places, tag_poses_on
-from onebend.learning.instruments import Instruments
-from onebend.learning.sensing.sense import LiveForce, OnlineSense
+from onebend.lab.virtual import (
+    DeclaredValues,
+    VirtualBench,
+    VirtualTag,
+    declared_recording,
+    from_base,
+    markers_of,
+    tag_places,
+    tag_poses_on,
+)
+from onebend.learning.sensing.sense import LiveForce, OnlineSense, SenseSettings
 from onebend.recording.beam_frame import beam_turn, rest_shape, to_beam_frame, turned
-from onebend.records import Array, Markers, Observations, Source, Stated
+from onebend.recording.observe import LoadsAtFrames, observations_of
+from onebend.records import Array, Markers, Observations, Source
 
 _REST = 30  # frames of the unloaded beam
 _STEP = 1.0 / 30.0  # s
@@ -53,19 +63,19 @@ def felt_by(
     control: Controller,
     *,
     stiffness: UncertainStiffness | None = None,
-    instruments: Instruments | None = None,
+    setup: SetUp | None = None,
     force_off: float = 0.0,
     hidden: bool = False,
     seed: int = 0,
 ) -> Callable[[Beam], ForceSense] | None:
     """For `simulate_range`: nothing; a log off by `force_off` [N] along the model's force; or the shape from tags at
-    the places of `instruments`, without those on the point if it is `hidden`."""
+    the places of the `setup`, put on anew, without those on the point if it is `hidden`."""
     if what == "nothing":
         return None
     if what == "log":
         bias = force_off * along(control)
         return lambda _: LoggedForce(bias, noise=_LOG_NOISE, sd=max(force_off, _LOG_NOISE), seed=seed)
-    places = _USUAL if instruments is None else instruments.tags
+    places = _USUAL if setup is None else setup.tags
     shown = [s for s in places if not (hidden and abs(s - control.point_s) < _AT_POINT)]
     if len(shown) < 2:
         raise ControlError("the shape tells no force: of the tags, fewer than two are seen beside the hidden point")
@@ -75,9 +85,7 @@ def felt_by(
 
     def of(truth: Beam) -> SensedForce:
         model = replace(control.beam, mass_per_length=truth.mass_per_length)
-        return SensedForce(
-            model, truth, seen, push_s=control.push_s, stiffness=stiffness, instruments=instruments, seed=seed
-        )
+        return SensedForce(model, truth, seen, push_s=control.push_s, stiffness=stiffness, setup=setup, seed=seed)
 
     return of
 
@@ -96,11 +104,14 @@ class SensedForce:
         *,
         push_s: float,
         stiffness: UncertainStiffness | None = None,
-        instruments: Instruments | None = None,
+        setup: SetUp | None = None,
         seed: int = 0,
     ) -> None:
         """`truth` moves; `model` is the learned beam with the band `stiffness`. Raises `LearningError`: as `sense`."""
-        self._bench = VirtualBench(truth, PushProfile(1.0, at_s=push_s), seen.tags, seen.base)
+        declared = DeclaredValues(length=model.length, placement_sd=seen.placement_sd)
+        self._bench = VirtualBench(
+            truth, PushProfile(1.0, at_s=push_s), seen.tags, seen.base, declared=declared, name="simulated loop"
+        )
         self._seen, self._rng = seen, np.random.default_rng(seed)
         rest = truth.equilibrium((0.0, 0.0))
         s = self._places
@@ -108,9 +119,10 @@ class SensedForce:
         shown = self._markers(np.arange(_REST, dtype=np.float64) * _STEP, still)
         nothing = np.ones(_REST, dtype=bool)
         self._turn = beam_turn(rest_shape(shown, nothing), seen.placement_sd)
-        at_rest = _at_rest(shown, model.length, seen, push_s)
+        at_rest = _at_rest(shown, self._bench, seen)
         relative = None if stiffness is None else replace(stiffness, gain_sd=0.0)
-        self._live = OnlineSense(model, at_rest, stiffness=relative, instruments=instruments)
+        anew = SenseSettings(tags="anew")
+        self._live = OnlineSense(model, at_rest, stiffness=relative, setup=setup, settings=anew)
 
     def __call__(self, seen: Exposure) -> LiveForce:
         shown = turned(
@@ -129,26 +141,10 @@ class SensedForce:
         return markers_of(self._seen.tags, time, poses, covariance)
 
 
-def _at_rest(shown: Markers, length: float, seen: SensedTags, push_s: float) -> Observations:
-    count = len(shown.time)
-    in_frame, rest, _ = to_beam_frame(shown, np.ones(count, dtype=bool), seen.placement_sd, np.zeros((count, 2)))
-    return Observations(
-        source=Source("simulated loop"),
-        stated=Stated(rest="straight", mass=np.nan, placement_sd=seen.placement_sd),
-        length=length,
-        time=shown.time,
-        frame=np.arange(count, dtype=np.int64),
-        tag_id=shown.tag_id,
-        marker_s=shown.s,
-        xy=in_frame.xy,
-        angle=in_frame.angle,
-        covariance=in_frame.covariance,
-        force=np.zeros((count, 2)),
-        force_sd=np.zeros(2),
-        push_s=np.full(count, push_s),
-        loaded=np.zeros(count, dtype=bool),
-        rest_xy=rest.xy,
-        rest_angle=rest.angle,
-        rest_covariance=rest.covariance,
-        gravity=np.tile(np.asarray(seen.gravity), (count, 1)),
-    )
+def _at_rest(shown: Markers, bench: VirtualBench, seen: SensedTags) -> Observations:
+    count, nothing = len(shown.time), np.zeros((len(shown.time), 2))
+    in_frame, rest, _ = to_beam_frame(shown, np.ones(count, dtype=bool), seen.placement_sd, nothing)
+    gravity, push_s = np.tile(np.asarray(seen.gravity), (count, 1)), np.full(count, bench.push.at_s)
+    loads = LoadsAtFrames(shown.time, gravity, nothing, push_s, np.zeros(count, dtype=bool))
+    source, use = Source("simulated loop"), np.ones(count, dtype=bool)
+    return observations_of(declared_recording(bench), source, in_frame, rest, loads, np.zeros(2), use)

@@ -1,24 +1,24 @@
-"""The whole study: recordings, learning, comparison. Finished parts are reused."""
+"""The whole study: recordings, learning, comparison. Finished recordings are reused."""
 
 from __future__ import annotations
 
 import json
-import multiprocessing
 import shutil
-from collections.abc import Callable, Sequence
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cache
+from importlib.resources import files
 from math import degrees, radians
 from pathlib import Path
-from types import MappingProxyType
-from typing import Literal, TypeVar
+from typing import Literal
 
 import numpy as np
-from scipy.integrate import solve_bvp
 
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.control.reach import Reach, ReachSettings, reach
-from onebend.errors import LearningError, MechanicsError, RecordingError, ResultsError
+from onebend.errors import LearningError, RecordingError, ResultsError
 from onebend.lab.bench import FRANKA, ForceSensor
 from onebend.lab.designs import DESIGNS, Design, force_that_bends
 from onebend.lab.filming import Filming, film
@@ -36,10 +36,10 @@ from onebend.learning.verdict import fit_notices, fitted_rms
 from onebend.options import option
 from onebend.progress import (
     Progress,
+    Result,
     Silent,
     available_cores,
-    interrupts_held,
-    leave_interrupts_to_parent,
+    in_processes,
     one_blas_thread,
     track,
 )
@@ -47,8 +47,8 @@ from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe
 from onebend.records import Array, Observations
 from onebend.report.sentences import say, worded
-from onebend.results.model import origin_of, read_model, save_model
-from onebend.results.observations_file import fields_from, load_observations, save_observations, to_data
+from onebend.results.model import origin_of, save_model
+from onebend.results.observations_file import load_observations, save_observations
 
 SensorKind = Literal["paper", "franka"]
 BEAMS = ("linear", "quadratic", "cubic")
@@ -140,10 +140,7 @@ def seed_of(setting: StudySettings, beam: str, strategy: Strategy) -> int:
     return int(np.random.SeedSequence([setting.seed, 31, place]).generate_state(1)[0])
 
 
-# The paper's printed numbers; lengths in metres. The text at hand has the rows of Tables II, IV and V only; those of I,
-# III and VI are None.
-
-M3 = tuple[float, float, float]  # m, markers M1 to M3
+MOST_MODES = 5  # z, Section V-A
 
 
 @dataclass(frozen=True)
@@ -152,77 +149,49 @@ class PrintedTrial:
 
     n: int
     m: int
-    rms: M3
+    rms: Array  # (3,) m, markers M1 to M3
     bic: float
 
 
 @dataclass(frozen=True)
 class PrintedBeam:
     selection_table: str
-    trials: tuple[PrintedTrial, ...] | None
-    chosen: tuple[int, int]  # (n, m), Section V-A
     validation_table: str
-    validation: tuple[tuple[str, M3], ...] | None  # by strategy
+    chosen: tuple[int, int]  # (n, m), Section V-A
+    trials: tuple[PrintedTrial, ...]  # () where the rows are not at hand
+    validation: Mapping[str, Array]  # (3,) m, by strategy
 
 
-def _trials(*rows: tuple[int, int, float, float, float, float]) -> tuple[PrintedTrial, ...]:
-    return tuple(PrintedTrial(n, m, (a, b, c), bic) for n, m, a, b, c, bic in rows)
-
-
-PRINTED = MappingProxyType(
-    {
-        "linear": PrintedBeam(
-            selection_table="I",
-            trials=None,
-            chosen=(4, 4),
-            validation_table="IV",
-            validation=(
-                ("fast", (0.0008, 0.0016, 0.0038)),
-                ("s08", (0.0002, 0.0015, 0.0035)),
-                ("s06", (0.0014, 0.0040, 0.0069)),
-            ),
-        ),
-        "quadratic": PrintedBeam(
-            selection_table="II",
-            trials=_trials(
-                (2, 2, 0.0012, 0.0010, 0.0022, 4.10),
-                (3, 2, 0.0013, 0.0011, 0.0021, 4.10),
-                (3, 3, 0.0012, 0.0011, 0.0021, 4.09),
-                (4, 2, 0.0016, 0.0014, 0.0020, 4.16),
-                (4, 3, 0.0013, 0.0013, 0.0021, 4.13),
-                (4, 4, 0.0010, 0.0014, 0.0021, 4.08),
-                (5, 2, 0.0010, 0.0012, 0.0023, 4.12),
-                (5, 3, 0.0025, 0.0023, 0.0036, 4.69),
-                (5, 4, 0.0011, 0.0023, 0.0030, 4.45),
-                (5, 5, 0.0059, 0.0129, 0.0228, 6.39),
-            ),
-            chosen=(4, 4),
-            validation_table="V",
-            validation=(
-                ("fast", (0.0005, 0.0017, 0.0039)),
-                ("s08", (0.0005, 0.0021, 0.0049)),
-                ("s06", (0.0008, 0.0022, 0.0033)),
-            ),
-        ),
-        "cubic": PrintedBeam(selection_table="III", trials=None, chosen=(3, 2), validation_table="VI", validation=None),
+@cache
+def printed() -> Mapping[str, PrintedBeam]:
+    """The paper's numbers by the beam's name, from `printed.toml`."""
+    data = tomllib.loads(files("onebend.lab").joinpath("printed.toml").read_text(encoding="utf-8"))
+    return {
+        name: PrintedBeam(
+            selection_table=beam["selection_table"],
+            validation_table=beam["validation_table"],
+            chosen=tuple(beam["chosen"]),
+            trials=tuple(PrintedTrial(n, m, np.array(rms), bic) for n, m, *rms, bic in beam["trials_m"]),
+            validation={strategy: np.array(rms) for strategy, rms in beam["validation_m"].items()},
+        )
+        for name, beam in data.items()
     }
-)
-MOST_MODES = 5  # z, Section V-A
 
 
 def printed_m3(beam: str, strategy: str) -> float | None:
     """m, printed validation error at the tip, or None."""
-    rows = dict(PRINTED[beam].validation or ())
-    return rows[strategy][2] if strategy in rows else None
+    rms = printed()[beam].validation.get(strategy)
+    return None if rms is None else float(rms[2])
 
 
-RECORDINGS, OBSERVED = "recordings", "observed"
+RECORDINGS, OBSERVED, LEARNED = "recordings", "observed", "learned"
 
 
 @dataclass(frozen=True)
 class FilmJob:
     work: Path
     setting: StudySettings
+    written_by: str
     beam: str
     strategy: Strategy
 
@@ -239,9 +208,9 @@ class FilmJob:
         return self.work / OBSERVED / f"{self.name}.parquet"
 
 
-def film_jobs(work: Path, setting: StudySettings) -> list[FilmJob]:
+def film_jobs(work: Path, setting: StudySettings, written_by: str) -> list[FilmJob]:
     """All twelve, each beam's training push first."""
-    return [FilmJob(work, setting, beam, strategy) for beam in BEAMS for strategy in STRATEGIES]
+    return [FilmJob(work, setting, written_by, beam, strategy) for beam in BEAMS for strategy in STRATEGIES]
 
 
 def make_recording(job: FilmJob) -> FilmJob:
@@ -272,13 +241,13 @@ def _filmed(job: FilmJob, filming: Filming, seed: int) -> Observations:
 
 
 PAPER = RegressionSettings(method="paper", bic="paper", most_n=MOST_MODES)
-FIT_FILE, PAPER_FILE, FACTS_FILE = "model.json", "paper-model.json", "facts.json"
 
 
 @dataclass(frozen=True)
 class LearnedBeam:
     """A beam learned from its training push."""
 
+    name: str
     trials: tuple[Trial, ...]  # Tables I to III
     chosen: int | None  # index in `trials`; None: no (n, m) gave a beam
     paper: Beam | None  # the paper's method
@@ -288,40 +257,25 @@ class LearnedBeam:
     remarks: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class LearnJob:
-    folder: Path
-    training: Path  # the slow push
-    written_by: str
-
-
-def learn_beam(job: LearnJob) -> LearnJob:
-    """Learn unless done. Raises `LearningError`: the push does not determine a beam."""
-    if not (job.folder / FACTS_FILE).exists():
-        observations = load_observations(job.training)
-        job.folder.mkdir(parents=True, exist_ok=True)
-        trials, chosen, paper = by_paper(observations)
-        posterior = by_fit(observations)
-        if paper is not None:
-            save_model(job.folder / PAPER_FILE, paper, written_by=job.written_by)
-        save_model(
-            job.folder / FIT_FILE,
-            posterior.beam,
-            written_by=job.written_by,
-            origin=origin_of(None, posterior, (validate(posterior.beam, observations),)),
-            uncertain=posterior.stiffness,
-            bench=instruments_of(posterior),
-        )
-        facts = {
-            "trials": [to_data(trial) for trial in trials],
-            "chosen": chosen,
-            "fitted_rms_m": fitted_rms(posterior)[0].tolist(),
-            "remarks": [f"{remark.level}: {remark.text}" for remark in worded(fit_notices(posterior))],
-        }
-        unfinished = job.folder / "facts.tmp"
-        unfinished.write_text(json.dumps(facts, indent=1), encoding="utf-8")  # NaN and infinity as Python writes them
-        unfinished.replace(job.folder / FACTS_FILE)
-    return job
+def learn_beam(job: FilmJob) -> LearnedBeam:
+    """Learn from a training push, and save the models. Raises `LearningError`: the push does not determine a beam."""
+    observations, folder = load_observations(job.observed), job.work / LEARNED / job.beam
+    folder.mkdir(parents=True, exist_ok=True)
+    trials, chosen, paper = by_paper(observations)
+    posterior = by_fit(observations)
+    if paper is not None:
+        save_model(folder / "paper-model.json", paper, written_by=job.written_by)
+    save_model(
+        folder / "model.json",
+        posterior.beam,
+        written_by=job.written_by,
+        origin=origin_of(None, posterior, (validate(posterior.beam, observations),)),
+        uncertain=posterior.stiffness,
+        bench=instruments_of(posterior),
+    )
+    remarks = tuple(f"{remark.level}: {remark.text}" for remark in worded(fit_notices(posterior)))
+    rms = fitted_rms(posterior)[0]
+    return LearnedBeam(job.beam, trials, chosen, paper, posterior.beam, posterior.stiffness, rms, remarks)
 
 
 @one_blas_thread
@@ -345,30 +299,9 @@ def by_fit(observations: Observations) -> Posterior:
     return fit([observations], start_of([observations], start), gain_sd=observations.stated.gain_sd)
 
 
-def load_learned(folder: Path) -> LearnedBeam:
-    """Raises `ResultsError`: damaged files."""
-    try:
-        facts = json.loads((folder / FACTS_FILE).read_text(encoding="utf-8"))
-        stored = read_model(folder / FIT_FILE)
-        if stored.uncertain is None:
-            raise ResultsError(f"{folder / FIT_FILE}: holds no band. Remove the folder and run again")
-        return LearnedBeam(
-            trials=tuple(Trial(**fields_from(Trial, trial)) for trial in facts["trials"]),
-            chosen=facts["chosen"],
-            paper=None if facts["chosen"] is None else read_model(folder / PAPER_FILE).beam,
-            fit=stored.beam,
-            uncertain=stored.uncertain,
-            fitted_rms=np.asarray(facts["fitted_rms_m"], dtype=float),
-            remarks=tuple(facts["remarks"]),
-        )
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ResultsError(f"{folder}: its files are damaged ({error}). Remove the folder and run again") from error
-
-
 # The six manipulation tasks (Section V-C, Fig. 8).
 
 Way = Literal["fit", "fit-paper", "paper"]
-SHARES = np.linspace(0.1, 1.0, 10)  # of the force, so that the true beam stays on the branch from rest
 
 
 @dataclass(frozen=True)
@@ -427,38 +360,10 @@ def manipulate(name: str, fit: Beam, paper: Beam | None, true: Beam) -> list[Tas
                 continue
             settings = ReachSettings(method="newton" if way == "fit" else "paper")
             result = reach(beam, goal, push_s=task.s, point_s=task.s, settings=settings)
-            landed = true_place(true, result.force, task.s) if result.converged else np.full(2, np.nan)
+            there = true.equilibrium(result.force, task.s) if result.converged else None
+            landed = np.full(2, np.nan) if there is None else np.ravel(there.xy(task.s))
             out.append(TaskResult(name, task, way, goal, result, landed))
     return out
-
-
-def true_place(beam: Beam, force: Array, s: float) -> Array:
-    """(2,) m: the point `s` of an initially straight beam under `force` at `s`, by an independent solver.
-
-    SciPy's collocation for the boundary-value problem `alpha' = M / k`, `M' = L (sin(alpha) Fx - cos(alpha) Fy)`, from
-    zero force upwards. Raises `MechanicsError`: no shape found.
-    """
-    length = beam.length
-
-    def ends(clamp: Array, free: Array) -> Array:
-        return np.array([clamp[0], free[1], clamp[2], clamp[3]])
-
-    t, guess = np.linspace(0.0, 1.0, 101), np.zeros((4, 101))
-    guess[2] = length * s * t
-    for share in SHARES:
-        now = share * force
-
-        def slopes(t: Array, state: Array, now: Array = now) -> Array:
-            alpha, moment = state[:2]
-            pull = length * (np.sin(alpha) * now[0] - np.cos(alpha) * now[1])
-            bend = moment / np.asarray(beam.stiffness(s * t))
-            return np.asarray(s * np.stack([bend, pull, length * np.cos(alpha), length * np.sin(alpha)]))
-
-        solved = solve_bvp(slopes, ends, t, guess, tol=1e-8, max_nodes=20000)
-        if solved.status != 0:
-            raise MechanicsError(f"the true beam has no shape under {np.hypot(*now):.3g} N: {solved.message}")
-        t, guess = solved.x, solved.y
-    return np.asarray(guess[2:, -1])
 
 
 S = np.linspace(0.0, 1.0, 401)
@@ -509,12 +414,12 @@ class StudyOutcome:
 
 
 @one_blas_thread
-def beam_outcome(name: str, gain: float, films: list[FilmJob], learned: LearnedBeam) -> BeamOutcome:
-    design = DESIGNS[name]
+def beam_outcome(gain: float, films: list[FilmJob], learned: LearnedBeam) -> BeamOutcome:
+    design = DESIGNS[learned.name]
     true = seen_through(design, gain).beam()
-    compared = tuple(_validated(job, learned, true) for job in films if job.beam == name)
-    tasks = tuple(manipulate(name, learned.fit, learned.paper, true))
-    return BeamOutcome(name, design, gain, true, learned, compared, tasks)
+    compared = tuple(_validated(job, learned, true) for job in films if job.beam == learned.name)
+    tasks = tuple(manipulate(learned.name, learned.fit, learned.paper, true))
+    return BeamOutcome(learned.name, design, gain, true, learned, compared, tasks)
 
 
 def _validated(job: FilmJob, learned: LearnedBeam, true: Beam) -> ValidatedFilm:
@@ -528,8 +433,7 @@ def _validated(job: FilmJob, learned: LearnedBeam, true: Beam) -> ValidatedFilm:
     )
 
 
-SETTING_FILE, LEARNED = "setting.json", "learned"
-Job = TypeVar("Job")
+SETTING_FILE = "setting.json"
 
 
 def reproduce(
@@ -550,18 +454,16 @@ def reproduce(
     """
     claim(work, setting)
     count = processes or available_cores()
-    films = film_jobs(work, setting)
-    run_jobs(make_recording, films, count, "filming and finding tags" if setting.video else "pushing", progress)
-    training = STRATEGIES[0].name
-    wanted = {
-        job.beam: LearnJob(work / LEARNED / job.beam, job.observed, written_by)
-        for job in films
-        if job.strategy.name == training
-    }
-    run_jobs(learn_beam, [wanted[name] for name in BEAMS], count, "learning from the training push", progress)
+    films = film_jobs(work, setting, written_by)
+    training = [job for job in films if job.strategy == STRATEGIES[0]]
+
+    def run(stage: str, do: Callable[[FilmJob], Result], jobs: Sequence[FilmJob]) -> list[Result]:
+        return list(track(progress, stage, in_processes(do, jobs, count), len(jobs)))
+
+    run("filming and finding tags" if setting.video else "pushing", make_recording, films)
+    learned = {one.name: one for one in run("learning from the training push", learn_beam, training)}
     gain, names = gain_of(setting), track(progress, "comparing and manipulating", BEAMS, len(BEAMS))
-    beams = [beam_outcome(name, gain, films, load_learned(wanted[name].folder)) for name in names]
-    return StudyOutcome(work, setting, gain, tuple(beams))
+    return StudyOutcome(work, setting, gain, tuple(beam_outcome(gain, films, learned[name]) for name in names))
 
 
 def claim(work: Path, setting: StudySettings) -> None:
@@ -576,20 +478,6 @@ def claim(work: Path, setting: StudySettings) -> None:
         return
     work.mkdir(parents=True, exist_ok=True)
     file.write_text(text, encoding="utf-8")
-
-
-def run_jobs(do: Callable[[Job], Job], jobs: Sequence[Job], processes: int, stage: str, progress: Progress) -> None:
-    """Run all jobs, in parallel if asked; a failure or an interrupt ends them all."""
-    count = min(processes, len(jobs))
-    if count <= 1:
-        for job in track(progress, stage, jobs, len(jobs)):
-            do(job)
-        return
-    with interrupts_held():
-        workers = multiprocessing.get_context("spawn").Pool(count, initializer=leave_interrupts_to_parent)
-    with workers as pool:
-        for _ in track(progress, stage, pool.imap_unordered(do, jobs), len(jobs)):
-            pass
 
 
 def assumed(outcome: StudyOutcome) -> list[str]:

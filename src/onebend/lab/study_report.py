@@ -28,7 +28,9 @@ from onebend.results.tables import write_csv
 
 Cell = float | int | str
 MARKERS = ("M1", "M2", "M3")
-BY = ("printed", "paper", "fit", "true")
+
+
+Row = dict[str, Cell]  # by the column's name
 
 
 @dataclass(frozen=True)
@@ -37,11 +39,11 @@ class ResultTable:
 
     key: str  # file name
     title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
+    rows: tuple[Row, ...]
 
-    def as_dict(self) -> dict[str, Any]:
-        return {"title": self.title, "rows": [dict(zip(self.columns, row, strict=True)) for row in self.rows]}
+    @property
+    def columns(self) -> tuple[str, ...]:
+        return tuple(self.rows[0])
 
 
 def all_tables(outcome: study.StudyOutcome) -> tuple[ResultTable, ...]:
@@ -55,128 +57,124 @@ def all_tables(outcome: study.StudyOutcome) -> tuple[ResultTable, ...]:
     )
 
 
+def _markers(by: str, rms: Iterable[float] | None) -> Row:
+    """RMS errors of the three markers; NaN where there are none."""
+    values = (nan,) * 3 if rms is None else rms
+    return {f"{by}_{marker}_m": float(value) for marker, value in zip(MARKERS, values, strict=True)}
+
+
 def selection_table(beam: study.BeamOutcome) -> ResultTable:
     """Tables I to III: every (n, m) by the paper's method."""
-    said = study.PRINTED[beam.name]
-    printed = {(row.n, row.m): row for row in said.trials or ()}
-    rows: list[tuple[Cell, ...]] = []
+    said = study.printed()[beam.name]
+    there = {(row.n, row.m): row for row in said.trials}
+    rows: list[Row] = []
     for i, trial in enumerate(beam.learned.trials):
-        there = printed.get((trial.n, trial.m))
+        row = there.get((trial.n, trial.m))
         who = (("paper", (trial.n, trial.m) == said.chosen), ("ours", i == beam.learned.chosen))
-        chosen = [name for name, it_is in who if it_is]
-        theirs = (nan,) * 4 if there is None else (*there.rms, there.bic)
-        ours = (*map(float, trial.rms), trial.bic if np.isfinite(trial.bic) else nan)
-        rows.append((trial.n, trial.m, *theirs, *ours, " and ".join(chosen), trial.why_out))
-    return ResultTable(
-        f"table-{said.selection_table}",
-        f"Table {said.selection_table}: RMS of errors of the {beam.name} beam",
-        ("n", "m", *_named("printed"), "printed_bic", *_named("ours"), "ours_bic", "chosen_by", "out_because"),
-        tuple(rows),
-    )
+        rows.append(
+            {"n": trial.n, "m": trial.m}
+            | _markers("printed", None if row is None else row.rms)
+            | {"printed_bic": nan if row is None else row.bic}
+            | _markers("ours", trial.rms)
+            | {"ours_bic": trial.bic if np.isfinite(trial.bic) else nan}
+            | {"chosen_by": " and ".join(name for name, it_is in who if it_is), "out_because": trial.why_out}
+        )
+    title = f"Table {said.selection_table}: RMS of errors of the {beam.name} beam"
+    return ResultTable(f"table-{said.selection_table}", title, tuple(rows))
 
 
-def _named(by: str) -> tuple[str, ...]:
-    return tuple(f"{by}_{marker}_m" for marker in MARKERS)
+def _compared(film: study.ValidatedFilm, there: Iterable[float] | None) -> Row:
+    """Printed errors, and those of the paper's method, the fit and the true beam."""
+    ours = (("paper", film.paper), ("fit", film.fit), ("true", film.true))
+    row = _markers("printed", there)
+    for by, comparison in ours:
+        row |= _markers(by, None if comparison is None else comparison.rms)
+    return row
 
 
 def validation_table(beam: study.BeamOutcome) -> ResultTable:
     """Tables IV to VI: the validations; printed, paper's method, fit, and true beam."""
-    said = study.PRINTED[beam.name]
-    printed = dict(said.validation or ())
-    unknown = (nan,) * 3
-    rows: list[tuple[Cell, ...]] = [
-        (film.strategy.says, *printed.get(film.strategy.name, unknown), *_three(film)) for film in beam.films[1:]
-    ]
-    return ResultTable(
-        f"table-{said.validation_table}",
-        f"Table {said.validation_table}: RMS of errors, validation set of the {beam.name} beam",
-        ("strategy", *(name for by in BY for name in _named(by))),
-        tuple(rows),
+    said = study.printed()[beam.name]
+    rows = tuple(
+        Row(strategy=film.strategy.says) | _compared(film, said.validation.get(film.strategy.name))
+        for film in beam.films[1:]
     )
-
-
-def _three(film: study.ValidatedFilm) -> tuple[float, ...]:
-    columns = ((nan,) * 3 if each is None else each.rms for each in (film.paper, film.fit, film.true))
-    return tuple(float(value) for column in columns for value in column)
+    title = f"Table {said.validation_table}: RMS of errors, validation set of the {beam.name} beam"
+    return ResultTable(f"table-{said.validation_table}", title, rows)
 
 
 def training_table(outcome: study.StudyOutcome) -> ResultTable:
     """The training push: chosen row of Tables I to III beside the fit."""
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[Row] = []
     for beam in outcome.beams:
-        said = study.PRINTED[beam.name]
-        printed = {(row.n, row.m): row.rms for row in said.trials or ()}.get(said.chosen, (nan,) * 3)
-        fitted = map(float, beam.learned.fitted_rms)
-        rows.append((beam.name, *printed, *_three(beam.films[0]), *fitted))
-    columns = ("beam", *(name for by in (*BY, "fitted") for name in _named(by)))
-    return ResultTable("training", "The training push", columns, tuple(rows))
+        said = study.printed()[beam.name]
+        there = {(row.n, row.m): row.rms for row in said.trials}.get(said.chosen)
+        fitted = _markers("fitted", beam.learned.fitted_rms)
+        rows.append({"beam": beam.name} | _compared(beam.films[0], there) | fitted)
+    return ResultTable("training", "The training push", tuple(rows))
 
 
 def manipulation_table(outcome: study.StudyOutcome) -> ResultTable:
     """Section V-C: error within the model, and of the true beam under the same force."""
-    rows: list[tuple[Cell, ...]] = [
-        (
-            beam.name,
-            f"{done.task.name}, s = {done.task.s:g}",
-            study.WAYS[done.way],
-            *map(float, done.goal),
-            float(np.hypot(*done.found.force)),
-            degrees(atan2(done.found.force[1], done.found.force[0])),
-            done.found.iterations,
-            done.found.error,
-            done.off,
-            "" if done.found.converged else done.found.reason,
-        )
+    rows: tuple[Row, ...] = tuple(
+        {
+            "beam": beam.name,
+            "point": f"{done.task.name}, s = {done.task.s:g}",
+            "way": study.WAYS[done.way],
+            "goal_x_m": float(done.goal[0]),
+            "goal_y_m": float(done.goal[1]),
+            "force_N": float(np.hypot(*done.found.force)),
+            "force_deg": degrees(atan2(done.found.force[1], done.found.force[0])),
+            "iterations": done.found.iterations,
+            "model_error_m": done.found.error,
+            "true_error_m": done.off,
+            "not_reached_because": "" if done.found.converged else done.found.reason,
+        }
         for beam in outcome.beams
         for done in beam.tasks
-    ]
-    columns = ("beam", "point", "way", "goal_x_m", "goal_y_m", "force_N", "force_deg", "iterations", "model_error_m")
-    return ResultTable(
-        "manipulation", "The six manipulation tasks", (*columns, "true_error_m", "not_reached_because"), tuple(rows)
     )
+    return ResultTable("manipulation", "The six manipulation tasks", rows)
 
 
 def stiffness_errors(outcome: study.StudyOutcome) -> ResultTable:
     """Error of k(s) in the force's scale, and coverage of the band."""
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[Row] = []
     for beam in outcome.beams:
-        paper = beam.learned.paper
-        chosen = None if beam.learned.chosen is None else beam.learned.trials[beam.learned.chosen]
+        learned = beam.learned
+        chosen = None if learned.chosen is None else learned.trials[learned.chosen]
         rows.append(
-            (
-                beam.name,
-                "n = {}, m = {}".format(*study.PRINTED[beam.name].chosen),
-                "none" if chosen is None else f"n = {chosen.n}, m = {chosen.m}",
-                nan if paper is None else 100.0 * beam.error(paper),
-                100.0 * beam.error(beam.learned.fit),
-                100.0 * beam.inside,
-            )
+            {
+                "beam": beam.name,
+                "printed_choice": "n = {}, m = {}".format(*study.printed()[beam.name].chosen),
+                "ours_choice": "none" if chosen is None else f"n = {chosen.n}, m = {chosen.m}",
+                "paper_log_k_rms_percent": nan if learned.paper is None else 100.0 * beam.error(learned.paper),
+                "fit_log_k_rms_percent": 100.0 * beam.error(learned.fit),
+                "band_holds_percent": 100.0 * beam.inside,
+            }
         )
-    columns = ("beam", "printed_choice", "ours_choice", "paper_log_k_rms_percent", "fit_log_k_rms_percent")
-    return ResultTable("stiffness", "k(s) against the truth", (*columns, "band_holds_percent"), tuple(rows))
+    return ResultTable("stiffness", "k(s) against the truth", tuple(rows))
 
 
 def stiffness_curves(beam: study.BeamOutcome) -> ResultTable:
     """k(s) at 201 places [N m]."""
     s = np.linspace(0.0, 1.0, 201)
     band, paper = beam.learned.uncertain.band(s), beam.learned.paper
-    columns = [
-        s,
-        np.asarray(beam.design.beam().stiffness(s)),
-        np.asarray(beam.true.stiffness(s)),
-        np.full(len(s), nan) if paper is None else np.asarray(paper.stiffness(s)),
-        band.k,
-        band.low,
-        band.high,
-    ]
-    names = ("s", "true_k_N_m", "true_k_as_logged_N_m", "paper_k_N_m", "fit_k_N_m", "fit_lo_N_m", "fit_hi_N_m")
-    rows = tuple(tuple(float(value) for value in row) for row in zip(*columns, strict=True))
-    return ResultTable(f"stiffness-{beam.name}", f"k(s) of the {beam.name} beam", names, rows)
+    columns = {
+        "s": s,
+        "true_k_N_m": np.asarray(beam.design.beam().stiffness(s)),
+        "true_k_as_logged_N_m": np.asarray(beam.true.stiffness(s)),
+        "paper_k_N_m": np.full(len(s), nan) if paper is None else np.asarray(paper.stiffness(s)),
+        "fit_k_N_m": band.k,
+        "fit_lo_N_m": band.low,
+        "fit_hi_N_m": band.high,
+    }
+    rows: tuple[Row, ...] = tuple({name: float(values[i]) for name, values in columns.items()} for i in range(len(s)))
+    return ResultTable(f"stiffness-{beam.name}", f"k(s) of the {beam.name} beam", rows)
 
 
 def write_table(path: Path, table: ResultTable) -> None:
     """Nine significant digits."""
-    write_csv(path, table.columns, ([_text(cell) for cell in row] for row in table.rows))
+    write_csv(path, table.columns, ([_text(cell) for cell in row.values()] for row in table.rows))
 
 
 def _text(cell: Cell) -> str:
@@ -469,15 +467,15 @@ def shown(table: ResultTable) -> dict[str, Any]:
         else:
             groups.append({"name": group, "wide": 1})
     heads = [
-        {"name": _head(name, said=alike), "text": any(isinstance(row[i], str) for row in table.rows)}
-        for i, name in enumerate(table.columns)
+        {"name": _head(name, said=alike), "text": any(isinstance(row[name], str) for row in table.rows)}
+        for name in table.columns
     ]
     rows = [
         {
             "cells": [_cell(name, cell) for name, cell in row.items()],
             "chosen": "ours" in str(row.get("chosen_by", "")),
         }
-        for row in (dict(zip(table.columns, cells, strict=True)) for cells in table.rows)
+        for row in table.rows
     ]
     return {
         "title": table.title,
@@ -526,7 +524,7 @@ def summary_of(outcome: study.StudyOutcome, *, written_by: str) -> dict[str, Any
         "force_scale": outcome.gain,
         "validations_below_printed": below,
         "validations_printed": known,
-        "tables": {table.key: table.as_dict() for table in all_tables(outcome)},
+        "tables": {one.key: {"title": one.title, "rows": one.rows} for one in all_tables(outcome)},
     }
 
 

@@ -29,12 +29,12 @@ from onebend.lab.bench import (
     turned,
 )
 from onebend.lab.designs import RESOLUTION
-from onebend.lab.rod import STEP, RodMotion, RodTask, march, stretched
+from onebend.lab.rod import STEP, RodMotion, RodTask, march
 from onebend.progress import one_blas_thread
 from onebend.recording.beam_frame import to_beam_frame
 from onebend.recording.entries import BeamEntry, ForceEntry, PushEntry, Recording, TagEntry, TagsEntry, VideoEntry
 from onebend.recording.force import clean_force, force_at
-from onebend.recording.observe import ObserveSettings, assemble
+from onebend.recording.observe import LoadsAtFrames, ObserveSettings, assemble, observations_of
 from onebend.records import (
     DIRECTION_SD,
     PLACE_SD,
@@ -47,7 +47,6 @@ from onebend.records import (
     Observations,
     Rest,
     Source,
-    Stated,
 )
 
 LOG_BEFORE = 1.0  # s, the log extends beyond the film at both ends
@@ -102,7 +101,6 @@ class VirtualBench:
     fps: float = 15.0
     clock: VirtualClock = field(default_factory=VirtualClock)
     declared: DeclaredValues = field(default_factory=DeclaredValues)
-    axial_stiffness: float = inf  # N, E A; finite: the beam stretches, which the fit's model does not
     effects: RealBench = field(default_factory=RealBench)  # those of the picture in films only
     name: str = "virtual"
 
@@ -171,8 +169,6 @@ def motion_of(
     effects = bench.effects
     if not (effects.moves_otherwise or effects.posture_bias):
         return None
-    if np.isfinite(bench.axial_stiffness):
-        raise MechanicsError("axial_stiffness does not go with other effects. Give a thickness instead")
     task = RodTask(bench.beam, effects, tag_places(bench), bench.push.force, bench.push.at_s, until, gravity)
     parts = int(np.ceil(1.0 / (bench.fps * STEP)))
     return march(task, 1.0 / (bench.fps * parts), at=at)
@@ -207,10 +203,7 @@ def tag_poses(bench: VirtualBench, force: Array) -> Array:
     if not np.all(solved.converged):
         worst = float(np.max(np.linalg.norm(force, axis=1)))
         raise MechanicsError(f"the virtual beam snaps through under {worst:.3g} N. Give a smaller push")
-    xy, angle = solved.xy(s), solved.angle(s)
-    if np.isfinite(bench.axial_stiffness):
-        xy, angle = stretched(beam, force, at_s, s, bench.axial_stiffness, solved)
-    return tag_poses_on(bench, xy, angle)
+    return tag_poses_on(bench, solved.xy(s), solved.angle(s))
 
 
 def tag_places(bench: VirtualBench) -> Array:
@@ -287,37 +280,10 @@ def observe_from_truth(
     offset = ClockOffset(bench.clock.offset + clock_error, clock_sd, bench.clock.declared, True)
     in_frame, rest, _ = to_beam_frame(markers, still, rec.tags.placement_sd, np.zeros_like(virtual.force))
     clean, force, noise = _force_seen(virtual, error, time, cutoff)
-    known = np.all(np.isfinite(force), axis=1)
-    return Observations(
-        source=Source(rec.name, clock=offset if clock_sd > 0.0 else None, clean_force=clean),
-        stated=Stated(
-            rest=rec.beam.rest,
-            mass=rec.beam.mass,
-            placement_sd=rec.tags.placement_sd,
-            turn_sd=rec.tags.turn_sd,
-            place_sd=rec.place_sd,
-            direction_sd=rec.direction_sd,
-            clamp_sd=rec.clamp_sd,
-            curvature_sd=rec.beam.curvature_sd,
-            scale_sd=rec.scale_sd,
-        ),
-        length=rec.beam.length,
-        time=time[known],
-        frame=np.flatnonzero(known).astype(np.int64),
-        tag_id=markers.tag_id,
-        marker_s=markers.s,
-        xy=in_frame.xy[known],
-        angle=in_frame.angle[known],
-        covariance=in_frame.covariance[known],
-        force=force[known],
-        force_sd=noise,
-        push_s=np.full(int(np.sum(known)), rec.push.at if rec.push else np.nan),
-        loaded=~still[known],
-        rest_xy=rest.xy,
-        rest_angle=rest.angle,
-        rest_covariance=rest.covariance,
-        gravity=np.zeros_like(force)[known],
-    )
+    source = Source(rec.name, clock=offset if clock_sd > 0.0 else None, clean_force=clean)
+    push_s = np.full(len(time), rec.push.at if rec.push else np.nan)
+    loads = LoadsAtFrames(time, np.zeros_like(force), force, push_s, ~still)
+    return observations_of(rec, source, in_frame, rest, loads, noise, np.all(np.isfinite(force), axis=1))
 
 
 def _force_seen(

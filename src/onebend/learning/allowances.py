@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Literal, get_args
+from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 
 from onebend.beam.grid import Grid, Modes, apply
-from onebend.beam.problem import Problem
+from onebend.beam.problem import Problem, riding_beyond
+from onebend.beam.sensitivity import of_mass
 from onebend.beam.stiffness import Profile, RectangularSection, Uniform
+from onebend.errors import LearningError
+from onebend.learning.frames import push_places
+from onebend.recording.camera import camera_place
 from onebend.records import Array, BoolArray, Observations, PointMass, View, tags_among
 
 # Where an allowance enters the model, and what its `basis` is there. F frames, Q nodes, m tags, n parameters:
@@ -21,11 +26,15 @@ from onebend.records import Array, BoolArray, Observations, PointMass, View, tag
 #   "load"        (F, Q, 2, n): added to the force beyond each node [N]
 #   "clamp"       (F, n) 1: added to the clamp's angle [rad]
 #   "poses"       (F, m, 3, n): added to the tags' poses
-#   "section", "relaxation", "length": the model's own; no basis, or the frames' times
-Entry = Literal["log k", "force", "place", "load", "clamp", "poses", "section", "relaxation", "length"]
+#   "section", "relaxation", "length", "bench": the model's own; no basis, or the frames' times
+Entry = Literal["log k", "force", "place", "load", "clamp", "poses", "section", "relaxation", "length", "bench"]
 
 
 ANYTHING, POSITIVE = (-np.inf, np.inf), (0.0, np.inf)
+
+
+def _nothing() -> Array:
+    return np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -37,36 +46,75 @@ class Allowance:
     unit: str
     labels: tuple[str, ...]  # (n,)
     prior_sd: Array  # (n,)
-    basis: Array  # see `Entry`
+    basis: Array = field(default_factory=_nothing)  # see `Entry`
     shared: bool = False  # by all recordings of the beam; else each recording has its own
     sized: bool = False  # the evidence chooses one factor on all of `prior_sd`
     within: tuple[float, float] = ANYTHING  # bounds of each parameter
     sparse: bool = False  # an effect that most benches lack, see `sites`
+    powers: Array = field(
+        default_factory=_nothing
+    )  # (n,) of the displacement in its functions; empty: they do not go with it
+    of_force: bool = False  # `prior_sd` goes with the largest force
 
     @property
     def count(self) -> int:
         return len(self.labels)
 
 
+LEFT = "remaining discrepancy"
 Sizes = Mapping[str, float]  # factors on the `prior_sd` of the allowances that are `sized`, by their names
 
 
 @dataclass(frozen=True)
+class Film:
+    """What of a whole recording only the fit knows; F frames, those at rest last."""
+
+    observations: Observations
+    frames: BoolArray  # which of the recording are used
+    measured: Array  # (F, m, 3) poses
+    problem: Problem
+    gravity: Array  # (F, 2) m/s^2
+    line: Profile  # kg/m, mass as written
+    across: Array  # (F, m, 2) unit vectors across an outline at its points
+
+
+@dataclass(frozen=True)
 class PushCourse:
-    """T frames of one recording, in order of time."""
+    """F frames of one push in order of time, then the beam at rest, where all is zero."""
 
-    time: Array  # (T,) s
-    bend: Array  # (T,) 0 to 1: displacement of the tags over its largest
-    back: Array  # (T,) 1 after the largest displacement
-    elapsed: Array  # (T,) 0 to 1: integral of `bend` over time so far, over its end
-    turn: Array  # (T, m) rad of each tag since rest; 0 where it was not seen
-    largest: float  # m, the largest displacement of the tags, root mean square
+    length: float  # m
+    marker_s: Array  # (m,)
+    on_body: BoolArray  # (m,) which of them are tags; the others are points of an outline
+    tags: tuple[str, ...]  # their names
+    tag_size: float  # m, NaN if unknown
+    thick: bool  # the section's thickness is known
+    time: Array  # (T,) s, without those at rest
+    force: Array  # (F, 2) N
+    largest: tuple[float, float]  # N, m: the largest force, and displacement of the tags, root mean square
+    push_s: Array  # (F,)
+    bend: Array  # (F,) displacement of the tags, over its largest
+    back: Array  # (F,) 1 after the largest displacement
+    elapsed: Array  # (F,) 0 to 1: integral of `bend` over time so far, over its end
+    turn: Array  # (F, m) rad of each tag since rest; 0 where it was not seen
+    film: Film | None = None  # None: the frames so far, as they come; `bend` is then over the length
+
+    @property
+    def pushed(self) -> bool:
+        """Whether a force acts, or may act in the frames to come."""
+        return self.film is None or bool(np.any(self.force))
+
+    @property
+    def turn_at_push(self) -> Array:
+        """(F,) rad since rest of the beam where it is pushed."""
+        places = np.append(0.0, self.marker_s)
+        turns = np.concatenate([np.zeros((len(self.turn), 1)), self.turn], axis=1)
+        return np.array([float(np.interp(s, places, turn)) for s, turn in zip(self.push_s, turns, strict=True)])
 
 
-def course(observations: Observations, frames: BoolArray) -> PushCourse:
-    """Of the chosen `frames` (T,) of a recording."""
-    o = observations
-    time, xy, angle = o.time[frames], o.xy[frames], o.angle[frames]
+def course_of(observations: Observations, frames: BoolArray, film: Film | None = None) -> PushCourse:
+    """Of the chosen `frames` (T,) of a recording; with a `film`, the frames at rest that it has behind them."""
+    o, on_body = observations, tags_among(observations)
+    time, xy, angle, force = o.time[frames], o.xy[frames], o.angle[frames], o.force[frames]
     rest = np.where(np.isfinite(o.rest_xy), o.rest_xy, xy[0])
     squares = np.sum((xy - rest) ** 2, axis=-1)
     seen = np.isfinite(squares)
@@ -78,8 +126,25 @@ def course(observations: Observations, frames: BoolArray) -> PushCourse:
     elapsed = np.cumsum(bend * step)
     elapsed = elapsed / max(float(elapsed[-1]), np.finfo(float).tiny)
     back = np.asarray(np.arange(len(time)) > int(np.argmax(bend)), dtype=float)
-    turn = angle - np.where(np.isfinite(o.rest_angle), o.rest_angle, 0.0)
-    return PushCourse(time, bend, back, elapsed, np.where(np.isfinite(turn), turn, 0.0), largest)
+    turn = np.nan_to_num(angle - np.where(np.isfinite(o.rest_angle), o.rest_angle, 0.0))
+    count = len(time) if film is None else len(film.measured)
+    return PushCourse(
+        length=o.length,
+        marker_s=o.marker_s,
+        on_body=on_body,
+        tags=tuple(f"tag {i}" for i in o.tag_id[on_body]),
+        tag_size=o.stated.tag_size,
+        thick=bool(np.isfinite(o.stated.thickness)),
+        time=time,
+        force=with_rest(force, count),
+        largest=(float(np.max(np.linalg.norm(force, axis=1), initial=0.0)), largest),
+        push_s=with_rest(push_places(o)[frames], count),
+        bend=with_rest(bend, count),
+        back=with_rest(back, count),
+        elapsed=with_rest(elapsed, count),
+        turn=with_rest(turn, count),
+        film=film,
+    )
 
 
 def with_rest(values: Array, count: int) -> Array:
@@ -93,28 +158,36 @@ CLAMP_TAG = 1.0 / 3.0  # s about which a point of an outline is taken for the ta
 GIVE_SD = 0.01  # rad per rad that the first tag turns
 
 
-def giving(run: PushCourse, count: int, beside: int = 0) -> Allowance:
-    """The moment at the clamp follows the turn of the tag `beside` it; `count` frames, those at rest last."""
-    basis = with_rest(run.turn[:, beside, None], count)
-    return Allowance(
-        "clamp gives", "clamp", "1", ("clamp gives",), np.array([GIVE_SD]), basis, within=POSITIVE, sparse=True
-    )
+def giving(course: PushCourse) -> Allowance:
+    """The moment at the clamp follows the turn of the tag beside it."""
+    beside = 0 if course.on_body.all() else int(np.argmin(np.abs(course.marker_s - CLAMP_TAG)))
+    sd, basis = np.array([GIVE_SD]), course.turn[:, beside, None]
+    return Allowance("clamp gives", "clamp", "1", ("clamp gives",), sd, basis, within=POSITIVE, sparse=True)
 
 
 SLIDE_SD = 2.5e-3  # m per rad that the beam turns at the push: the radius of a finger or a rod
 
 
-def sliding(marker_s: Array, run: PushCourse, push_s: Array) -> Allowance:
-    """`s_a(t) = s_0 + b (a(s_0, t) - a(s_0, 0))` with b in m per rad; `push_s` (F,)."""
-    basis = with_rest(turn_at_push(marker_s, run.turn, push_s)[:, None], len(push_s))
-    return Allowance("slide", "place", "m/rad", ("contact slides",), np.array([SLIDE_SD]), basis, sparse=True)
+def sliding(course: PushCourse) -> Allowance | None:
+    """`s_a(t) = s_0 + b (a(s_0, t) - a(s_0, 0))` with b in m per rad."""
+    if not course.pushed:
+        return None
+    sd, basis = np.array([SLIDE_SD]), course.turn_at_push[:, None]
+    return Allowance("slide", "place", "m/rad", ("contact slides",), sd, basis, sparse=True)
 
 
-def turn_at_push(marker_s: Array, turn: Array, push_s: Array) -> Array:
-    """(T,) rad since rest of the beam at `push_s`, of which there are at least T; `turn` (T, m) of the tags."""
-    places = np.append(0.0, marker_s)
-    turns = np.concatenate([np.zeros((len(turn), 1)), turn], axis=1)
-    return np.array([float(np.interp(s, places, turn)) for s, turn in zip(push_s, turns, strict=False)])
+FRICTION_SD = 0.3  # of the force across the beam: a coefficient of friction
+
+
+def rubbing(course: PushCourse) -> Allowance | None:
+    """A force along the beam, in proportion to the logged one across it (Coulomb's friction), of one sign in a push."""
+    if not course.pushed:
+        return None
+    turn = course.turn_at_push
+    along = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    across = course.force[:, 1] * along[:, 0] - course.force[:, 0] * along[:, 1]
+    sd, basis = np.array([FRICTION_SD]), (across[:, None] * along)[..., None]
+    return Allowance("rub", "force", "1", ("friction of the tool",), sd, basis, sparse=True)
 
 
 # Discrepancy between model and world (Kennedy and O'Hagan 2001): every coordinate of every tag may be off by a function
@@ -125,69 +198,98 @@ XY, ANGLE = (0, 1), (2,)  # coordinates of a pose
 LEVER = 0.3  # of the length: a smooth error of place d has a slope of about d over this
 
 
-def discrepancy(run: PushCourse, tags: tuple[str, ...], length: float, count: int) -> tuple[Allowance, Allowance]:
-    """For the tags' places, and for their angles; `count` frames, those at rest last."""
-    return discrepancy_of(with_rest(smooth_functions(run), count), tags, length)
+_FIVE = np.array([1.0, 2.0, 1.0, 2.0, 0.0])  # powers of the displacement in the smooth functions
+_LINEAR = [0, 2]  # those of frames as they come, for time's sake: on both ways
+# Their sd is such that at the largest displacement they are worth as much as all five.
+_WORTH = float(np.sqrt((1.0 + 1.0 + 0.25 + 0.25 + 1.0) / (1.0 + 0.25)))
+
+
+def discrepancy(course: PushCourse) -> Allowance | None:
+    """Of the tags' places."""
+    return _discrepancy(course, "discrepancy", "m", {"x": 0, "y": 1}, PLACE_SD)
+
+
+def angle_discrepancy(course: PushCourse) -> Allowance | None:
+    """Of the tags' angles."""
+    return _discrepancy(course, "angle discrepancy", "rad", {"angle": 2}, PLACE_SD / (LEVER * course.length))
+
+
+def _discrepancy(course: PushCourse, name: str, unit: str, axes: Mapping[str, int], sd: float) -> Allowance | None:
+    """The smooth functions for each of these coordinates of each tag."""
+    if not course.tags:
+        return None
+    functions, powers = smooth_functions(course), _FIVE
+    if course.film is None:
+        functions, powers, sd = functions[:, _LINEAR], _FIVE[_LINEAR], _WORTH * sd
+    n, on_body = functions.shape[1], np.flatnonzero(course.on_body)
+    labels = tuple(f"discrepancy {t} {a}{i}" for a in axes for t in course.tags for i in range(n))
+    basis = np.zeros((len(functions), len(course.on_body), 3, len(axes), len(on_body), n))
+    for i, axis in enumerate(axes.values()):
+        for number, tag in enumerate(on_body):
+            basis[:, tag, axis, i, number] = functions
+    sds, powers = np.full(len(labels), sd), np.tile(powers, len(labels) // n)
+    return Allowance(name, "poses", unit, labels, sds, basis.reshape(*basis.shape[:3], -1), sized=True, powers=powers)
+
+
+def smooth_functions(course: PushCourse) -> Array:
+    """(F, 5)."""
+    bend, side = course.bend, course.back - 0.5
+    return np.stack([bend, bend**2, bend * side, bend**2 * side, course.elapsed], axis=1)
 
 
 OUTLINE_SD = 5e-5  # m, of each function's coefficient, before the evidence has chosen
 _TERMS = 6  # Legendre polynomials along the body
 
 
-def outline_error(marker_s: Array, run: PushCourse, across: Array) -> Allowance:
+def outline_error(course: PushCourse) -> Allowance | None:
     """The error of an outline, smooth along the body: one that stays, and two that grow with the bending (light and
-    shade turn with the body, walls come into sight); `across` (F, m, 2), zero at tags, frames at rest last."""
-    grows = with_rest(np.stack([run.bend, run.bend**2], axis=1), len(across))
-    in_time = np.column_stack([np.ones(len(across)), grows])  # (F, 3)
-    along = np.polynomial.legendre.legvander(2.0 * marker_s - 1.0, _TERMS - 1)  # (m, n)
+    shade turn with the body, walls come into sight)."""
+    if course.film is None or course.on_body.all():
+        return None
+    across = course.film.across
+    in_time = np.column_stack([np.ones(len(across)), course.bend, course.bend**2])  # (F, 3)
+    along = np.polynomial.legendre.legvander(2.0 * course.marker_s - 1.0, _TERMS - 1)  # (m, n)
     basis = np.zeros((*across.shape[:2], 3, 3 * _TERMS))
     basis[:, :, :2] = np.einsum("fmc,ft,mn->fmctn", across, in_time, along).reshape(*across.shape, -1)
     labels = tuple(f"outline error {t}{n}" for t in ("stays", "grows", "grows more") for n in range(_TERMS))
     return Allowance("outline", "poses", "m", labels, np.full(len(labels), OUTLINE_SD), basis, sized=True)
 
 
-def discrepancy_of(functions: Array, tags: tuple[str, ...], length: float) -> tuple[Allowance, Allowance]:
-    """The same of these functions (F, n)."""
-    places, angles = (of_axes(functions, len(tags), axes) for axes in (XY, ANGLE))
-    place_labels = tuple(f"discrepancy {t} {a}{i}" for a in "xy" for t in tags for i in range(functions.shape[1]))
-    angle_labels = tuple(f"discrepancy {t} angle{i}" for t in tags for i in range(functions.shape[1]))
-    place_sd = np.full(len(place_labels), PLACE_SD)
-    angle_sd = np.full(len(angle_labels), PLACE_SD / (LEVER * length))
-    return (
-        Allowance("discrepancy", "poses", "m", place_labels, place_sd, places, sized=True),
-        Allowance("angle discrepancy", "poses", "rad", angle_labels, angle_sd, angles, sized=True),
-    )
-
-
-def smooth_functions(run: PushCourse) -> Array:
-    """(T, 5)."""
-    side = run.back - 0.5
-    return np.stack([run.bend, run.bend**2, run.bend * side, run.bend**2 * side, run.elapsed], axis=1)
-
-
-def of_axes(functions: Array, tags: int, axes: tuple[int, ...]) -> Array:
-    """(F, m, 3, axes m n): each of the functions (F, n) for each of these coordinates of each tag."""
-    frames, n = functions.shape
-    out = np.zeros((frames, tags, 3, len(axes), tags, n))
-    for i, axis in enumerate(axes):
-        for tag in range(tags):
-            out[:, tag, axis, i, tag] = functions
-    return out.reshape(frames, tags, 3, len(axes) * tags * n)
-
-
 _WINDOW, _DEGREE = 7, 3  # frames and degree of the polynomial whose curvature is the acceleration
 MASS_SD = 25.0  # kg/m^3, of the length cubed: a solid rubber beam, 0.08 by 0.2 of its length thick and wide, has 18
 
 
-def unknown_mass(observations: Observations, frames: BoolArray, problem: Problem, count: int) -> Allowance | None:
+def unknown_mass(course: PushCourse) -> Allowance | None:
     """The unknown mass [kg] of a moving beam, evenly spread; None where it is stated or no acceleration is known."""
-    if observations.static or np.isfinite(observations.stated.mass):
+    film = course.film
+    if film is None or np.isfinite(film.observations.stated.mass):
         return None
-    force = inertial_force(observations, frames, problem, Uniform(1.0 / observations.length), count)
+    count, even = len(course.force), Uniform(1.0 / course.length)
+    force = inertial_force(film.observations, film.frames, film.problem, even, count)
     if not np.any(force):
         return None
-    sd = np.array([MASS_SD * observations.length**3])
+    sd = np.array([MASS_SD * course.length**3])
     return Allowance("inertia", "load", "kg", ("mass in motion",), sd, force[..., None], shared=True, within=POSITIVE)
+
+
+def gravity_direction(course: PushCourse) -> Allowance | None:
+    """Gravity turned by one angle [rad]; None if exact, or without weight."""
+    film = course.film
+    if film is None or not film.observations.stated.gravity_sd > 0.0 or not np.any(film.gravity):
+        return None
+    nodes, stated, gravity = film.problem.grid.nodes, film.observations.stated, film.gravity
+    beyond = weight_beyond(film.problem, np.asarray(film.line(nodes))[..., None], gravity)[..., 0]
+    beyond = beyond + riding_beyond(nodes, stated.masses)[..., None] * gravity[:, None, :]
+    turned = np.stack([-beyond[..., 1], beyond[..., 0]], axis=-1)
+    sd = np.array([stated.gravity_sd])
+    return Allowance("gravity direction", "load", "rad", ("gravity's direction",), sd, turned[..., None])
+
+
+def weight_beyond(problem: Problem, line: Array, gravity: Array) -> Array:
+    """(F, Q, 2, n) N beyond each node, of n masses per length `line` (Q, n) or (F, Q, n) [kg/m]."""
+    force = of_mass(problem, line, gravity).force
+    assert force is not None
+    return force
 
 
 def inertial_force(
@@ -255,15 +357,15 @@ def second_derivative(time: Array, values: Array) -> Array | None:
 LENGTH_SD = 0.005  # of the length
 
 
-def length() -> Allowance:
+def length(course: PushCourse) -> Allowance:  # noqa: ARG001 - as its sisters
     """The log of the length, over what is written."""
-    return Allowance("length", "length", "1", ("log of length",), np.array([LENGTH_SD]), np.zeros(0), shared=True)
+    return Allowance("length", "length", "1", ("log of length",), np.array([LENGTH_SD]), shared=True)
 
 
 # Each recording has a k(s) of its own around that of the beam, because mounting (clamp, set and temper of the material)
 # changes it. With several recordings the evidence chooses how much.
 
-BETWEEN: Literal["between recordings"] = "between recordings"
+BETWEEN = "between recordings"
 BETWEEN_SD = np.array([0.05, 0.03, 0.03])  # of log k: level, slope and bow, before the evidence chooses a factor
 _SHAPES = Modes(len(BETWEEN_SD))  # Legendre polynomials over the beam
 
@@ -308,10 +410,15 @@ def patch_means(marker_s: Array, length: float, tag_size: float, grid: Grid) -> 
     return np.asarray(np.diff(to_edges, axis=-2, prepend=0.0) / grid.weights[..., None])
 
 
-def patches(marker_s: Array, length: float, tag_size: float, grid: Grid | None, *, traced: bool = False) -> Allowance:
-    """The layers' factors on k, the same under all tags, for they are alike; no `grid`, no basis. Where the body's
-    outline is `traced` beside a tag, k there is seen, and no stiff layer reaches beyond the tag's paper."""
-    basis = np.zeros((0, len(WIDTHS))) if grid is None else patch_means(marker_s, length, tag_size, grid)
+def patches(course: PushCourse) -> Allowance | None:
+    """The layers' factors on k, the same under all tags, for they are alike; without a film no basis. Where the body's
+    outline is traced beside a tag, k there is seen, and no stiff layer reaches beyond the tag's paper."""
+    if not course.tags:
+        return None
+    basis, traced = np.zeros((0, len(WIDTHS))), not course.on_body.all()
+    if course.film is not None:
+        grid = course.film.problem.grid
+        basis = patch_means(course.marker_s[course.on_body], course.length, course.tag_size, grid)
     labels = tuple(f"log k under the tags, {name}" for name in ("as wide as seen", "and its rim", "and around it"))
     sd = PATCH_SD * np.sqrt(SHARES) * np.where(traced & (WIDTHS > PAPER), NEXT_TO_NONE, 1.0)
     return Allowance("patches", "log k", "1", labels, sd, basis, shared=True, within=POSITIVE, sparse=True)
@@ -325,12 +432,6 @@ HEIGHT_SD = 2e-3  # m, of each tag over the plane of all
 READOUT_SD = 0.015  # s, from the picture's first row to its last
 _STEP = 1e-4  # m, to either side of a place, for the slope of a row
 _SMALL = np.finfo(float).tiny
-
-
-def camera_place(view: View) -> tuple[Array, float]:
-    """(2,) m foot of the camera in the plane of the tags, and its distance from the plane [m]."""
-    place = -view.rotation.T @ view.translation
-    return np.asarray(place[:2]), float(abs(place[2]))
 
 
 def heights(observations: Observations, measured: Array) -> Allowance:
@@ -408,12 +509,14 @@ POSTURE_SD = 0.01  # of the largest force, for each term and axis; the linear te
 DEGREE = 2  # of the polynomial in the tool's displacement
 
 
-def posture_bias(run: PushCourse, force: Array) -> Allowance:
-    """A polynomial of second degree in the displacement, zero at rest, for each axis of the force (F, 2) [N]."""
-    largest = float(np.max(np.linalg.norm(force, axis=1)))
-    basis = on_each_axis(with_rest(powers(run.bend), len(force)))
+def posture_bias(course: PushCourse) -> Allowance | None:
+    """A polynomial of second degree in the displacement, zero at rest, for each axis of the force [N]."""
+    if not course.pushed:
+        return None
     labels = tuple(f"posture bias {axis}{i}" for axis in "xy" for i in range(1, DEGREE + 1))
-    return Allowance("posture", "force", "N", labels, np.full(2 * DEGREE, POSTURE_SD * largest), basis, sparse=True)
+    sd, basis = np.full(2 * DEGREE, POSTURE_SD * course.largest[0]), on_each_axis(powers(course.bend))
+    of_bend = np.tile(np.arange(1.0, DEGREE + 1.0), 2)
+    return Allowance("posture", "force", "N", labels, sd, basis, sparse=True, powers=of_bend, of_force=True)
 
 
 def powers(bend: Array) -> Array:
@@ -435,19 +538,11 @@ SHARE_SD = 0.05  # of each a_j: shares of the stiffness that relax
 LARGEST = 0.9  # of c: beyond, nothing would be left of the stiffness
 
 
-def relaxation(run: PushCourse) -> Allowance:
+def relaxation(course: PushCourse) -> Allowance:
     """The shares that relax with each of the times."""
-    labels = tuple(f"share that relaxes within {t:g} s" for t in TIMES)
+    labels, sd = tuple(f"share that relaxes within {t:g} s" for t in TIMES), np.full(len(TIMES), SHARE_SD)
     return Allowance(
-        "relaxation",
-        "relaxation",
-        "1",
-        labels,
-        np.full(len(TIMES), SHARE_SD),
-        run.time,
-        shared=True,
-        within=POSITIVE,
-        sparse=True,
+        "relaxation", "relaxation", "1", labels, sd, course.time, shared=True, within=POSITIVE, sparse=True
     )
 
 
@@ -551,11 +646,10 @@ UNKNOWN_SD, KNOWN_SD = 1.2, 0.2  # of the square of the thickness, over the usua
 _NEAR_NONE = 1e-9  # of it: as good as none, where nothing may be divided by
 
 
-def section(*, known: bool) -> Allowance:
+def section(course: PushCourse) -> Allowance:
     """The relative change of the square of the thickness, from the stated one or the usual one."""
-    sd = np.array([KNOWN_SD if known else UNKNOWN_SD])
-    label = "change of section thickness squared"
-    return Allowance("section", "section", "1", (label,), sd, np.zeros(0), shared=True, within=(-1.0, np.inf))
+    label, sd = "change of section thickness squared", np.array([KNOWN_SD if course.thick else UNKNOWN_SD])
+    return Allowance("section", "section", "1", (label,), sd, shared=True, within=(-1.0, np.inf))
 
 
 def section_at(change: float, stated: float, beam_length: float) -> tuple[RectangularSection, float]:
@@ -569,75 +663,68 @@ def section_at(change: float, stated: float, beam_length: float) -> tuple[Rectan
     return RectangularSection(usual, share=share), 0.5 / share
 
 
-AllowanceName = Literal[
-    "section",
-    "relaxation",
-    "slide",
-    "clamp gives",
-    "posture",
-    "patches",
-    "length",
-    "inertia",
-    "gravity direction",
-    "heights",
-    "camera",
-    "rolling shutter",
-    "discrepancy",
-    "angle discrepancy",
-    "outline",
-    "between recordings",
-]
-EVERY_ALLOWANCE: frozenset[AllowanceName] = frozenset(get_args(AllowanceName))
-OF_ONE = EVERY_ALLOWANCE - {"between recordings"}  # those that one recording may have
+def _of_film(of: Callable[[Film], Allowance], known: Callable[[Observations], bool]) -> Callable[..., Allowance | None]:
+    """An allowance of the film of a course, where what it needs of the camera is known."""
+
+    def allowance(course: PushCourse) -> Allowance | None:
+        film = course.film
+        return of(film) if film is not None and known(film.observations) else None
+
+    return allowance
 
 
-def allowances_of(
-    observations: Observations,
-    frames: BoolArray,
-    measured: Array,
-    push_s: Array,
-    force: Array,
-    grid: Grid,
-    wanted: frozenset[AllowanceName],
-    across: Array | None = None,
-) -> tuple[Allowance, ...]:
-    """The wanted allowances of a film's chosen `frames` (T,); none of static poses.
+_heights = _of_film(lambda film: heights(film.observations, film.measured), lambda o: o.source.view is not None)
+_rows = _of_film(  # the picture's rows are known
+    lambda film: rolling_shutter(film.observations, film.frames, len(film.measured)),
+    lambda o: o.source.view is not None and bool(o.source.view.matrix[1, 2] > 0.0),
+)
+_camera = _of_film(
+    lambda film: camera(film.observations, film.frames, len(film.measured)), lambda o: o.by_camera is not None
+)
 
-    `measured` (F, m, 3), `push_s` (F,), `force` (F, 2) N and `across` (F, m, 2), unit vectors across an outline at its
-    points: of these frames and of the beam at rest after them.
+
+@dataclass(frozen=True)
+class Effect:
+    """What a real beam or bench may do: an entry of the list that the fit, the live learner and the reports read."""
+
+    cause: str  # its name in the reports; several may share one
+    allowance: Callable[[PushCourse], Allowance | None]  # None where the course cannot show it
+    live: bool = True  # it needs no later frame and no place of the camera
+
+
+EFFECTS: Mapping[str, Effect] = MappingProxyType(
+    {
+        "section": Effect("stretch and shear", section),
+        "relaxation": Effect("relaxation", relaxation),
+        "length": Effect("length", length),
+        "clamp gives": Effect("clamp that gives", giving),
+        "patches": Effect("stiff tags", patches),
+        "discrepancy": Effect(LEFT, discrepancy),
+        "angle discrepancy": Effect(LEFT, angle_discrepancy),
+        "outline": Effect("outline", outline_error, live=False),
+        "slide": Effect("sliding contact", sliding),
+        "rub": Effect("friction of the tool", rubbing),
+        "posture": Effect("posture-dependent bias", posture_bias),
+        "heights": Effect("camera", _heights, live=False),
+        "rolling shutter": Effect("camera", _rows, live=False),
+        "camera": Effect("camera", _camera, live=False),
+        "inertia": Effect("inertia", unknown_mass, live=False),
+        "gravity direction": Effect("direction of gravity", gravity_direction, live=False),
+    }
+)
+OF_ONE = frozenset(EFFECTS)  # those that one recording may have
+EVERY_ALLOWANCE = OF_ONE | {BETWEEN}
+LIVE_ALLOWANCES = frozenset(name for name, effect in EFFECTS.items() if effect.live)
+
+
+def allowances_of(course: PushCourse, wanted: frozenset[str]) -> tuple[Allowance, ...]:
+    """The wanted allowances that the course can show.
+
+    Raises:
+        LearningError: a name that is in no list.
     """
-    if observations.static or not np.any(frames):
-        return ()
-    run, on_body = course(observations, frames), tags_among(observations)
-    tags = tuple(f"tag {i}" for i in observations.tag_id[on_body])
-    beside = 0 if on_body.all() else int(np.argmin(np.abs(observations.marker_s - CLAMP_TAG)))
-    every = [
-        section(known=bool(np.isfinite(observations.stated.thickness))),
-        relaxation(run),
-        length(),
-        giving(run, len(force), beside),
-    ]
-    if tags:
-        under = observations.marker_s[on_body], observations.length, observations.stated.tag_size
-        every.append(patches(*under, grid, traced=not on_body.all()))
-        every += [_at(on_body, one) for one in discrepancy(run, tags, observations.length, len(force))]
-    if across is not None and not on_body.all():
-        every.append(outline_error(observations.marker_s, run, across))
-    if np.any(force != 0.0):
-        every += [sliding(observations.marker_s, run, push_s), posture_bias(run, force)]
-    if observations.source.view is not None:
-        every.append(heights(observations, measured))
-        if observations.source.view.matrix[1, 2] > 0.0:  # the picture's rows are known
-            every.append(rolling_shutter(observations, frames, len(force)))
-    if observations.by_camera is not None:
-        every.append(camera(observations, frames, len(force)))
-    return tuple(one for one in every if one.name in wanted)
-
-
-def _at(tags: BoolArray, one: Allowance) -> Allowance:
-    """An allowance of the poses of tags, for markers of which `tags` (m,) are these."""
-    if tags.all():
-        return one
-    basis = np.zeros((len(one.basis), len(tags), *one.basis.shape[2:]))
-    basis[:, tags] = one.basis
-    return replace(one, basis=basis)
+    unknown = sorted(wanted - EVERY_ALLOWANCE)
+    if unknown:
+        raise LearningError(f"there is no allowance {unknown[0]!r}, only: {', '.join(sorted(EVERY_ALLOWANCE))}")
+    every = (effect.allowance(course) for name, effect in EFFECTS.items() if name in wanted)
+    return tuple(one for one in every if one is not None)

@@ -6,44 +6,19 @@ weights."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
+from onebend.learning.allowances import LEFT
 from onebend.learning.linear import FitProblem, log_k_map
 from onebend.learning.optimizer import Optimum
-from onebend.learning.parameters import Block
+from onebend.learning.parameters import Block, groups
 from onebend.learning.prediction import secant_of
 from onebend.records import Array, IntArray
 
-FORCE_SCALE, LEFT = "force's scale", "remaining discrepancy"
-# Blocks of the layout, by the common name of their cause.
-GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "stretch and shear": ("section",),
-        "relaxation": ("relaxation",),
-        "sliding contact": ("slide",),
-        "place of the push": ("place",),
-        "stiff tags": ("patches",),
-        "clamp that gives": ("clamp gives",),
-        "posture-dependent bias": ("posture",),
-        "length": ("length",),
-        "rest shape": ("curvature", "rest change"),
-        "places of the tags": ("along", "across", "turn"),
-        "clamp and origin": ("clamp", "origin"),
-        "direction of the force": ("direction",),
-        "clock": ("clock",),
-        "mountings": ("between recordings",),
-        "mass": ("mass",),
-        "camera": ("scale", "heights", "camera", "rolling shutter"),
-        "inertia": ("inertia",),
-        "direction of gravity": ("gravity direction",),
-        "error of the force log": ("force",),
-        LEFT: ("discrepancy", "angle discrepancy"),
-    }
-)
+FORCE_SCALE = "force's scale"
+GROUPS = groups()  # blocks of the layout, by the common name of their cause
 _NO_THICKNESS = -1.0  # of the relative change of its square: a beam that neither stretches nor shears
 # Unknown on every bench, and so no allowance for a bench that is not ideal.
 _OF_EVERY_BENCH = (

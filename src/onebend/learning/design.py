@@ -22,6 +22,7 @@ from onebend.learning import prediction
 from onebend.learning.fit_data import MASS_MODES, REST_MODES
 from onebend.learning.instruments import ForceDoubt, Instruments, PlannedPush
 from onebend.learning.outcome import Notice
+from onebend.learning.parameters import STATED_ERRORS
 from onebend.options import POSITIVE, option
 from onebend.progress import Progress, Silent, one_blas_thread, track
 from onebend.records import Array, BoolArray, IntArray
@@ -199,15 +200,13 @@ def eliminate(information: Array, last: int, prior: Array | float = 0.0) -> Arra
 
 def alone(bench: Instruments) -> Array:
     """(N,) prior precisions of the shared nuisances before any push."""
-    m = len(bench.tags)
-    sd = {
-        "curvature": [bench.curvature_sd] * 3,
-        "mass": [bench.mass_sd] + [bench.mass_spread_sd] * 3,
-        "along": [bench.placement_sd] * m,
-        "across": [bench.placement_sd] * m,
-        "turn": [bench.turn_sd] * m,
-    }
-    return np.array([one for name in bench.shared for one in sd[name]]) ** -2.0
+    field, parts = {error.name: error.field for error in STATED_ERRORS}, bench.shared_parts
+    sds = np.zeros(bench.shared_size)
+    for name, where in parts.items():
+        sds[where] = getattr(bench, field[name])
+    if "mass" in bench.shared:
+        sds[parts["mass"]][1:] = bench.mass_spread_sd
+    return np.asarray(sds**-2.0)
 
 
 def with_better_sensor(bench: Instruments, times: float) -> Instruments:
@@ -229,12 +228,13 @@ def _columns(seen: TagDerivatives, bench: Instruments, chosen: IntArray) -> tupl
     own, motion = len(bench.tags), seen.motion
     watched = prediction.TagMotion(*(part[:, chosen] for part in (motion.along, motion.bend, motion.across, motion.xy)))
     blocks = {name: block[:, chosen] for name, block in seen.blocks.items()} | prediction.tag_blocks(watched)
-    by_tag = ("along", "across", "turn")
-    shared = [blocks[name][..., :own] if name in by_tag else blocks[name] for name in bench.shared]
-    wanted = [(blocks[name][..., own:], bench.placement_sd) for name in ("along", "across")]
-    wanted += [(blocks["turn"][..., own:], bench.turn_sd), (blocks["clamp"], bench.clamp_sd)]
-    wanted += [(blocks["origin"], bench.origin_sd), (blocks["scale"], bench.scale_sd)]
-    wanted += [(blocks["place"], bench.place_sd), (blocks["direction"], bench.direction_sd)]
+    of_tags = [error.name for error in STATED_ERRORS if error.of_tags]
+    shared = [blocks[name][..., :own] if name in of_tags else blocks[name] for name in bench.shared]
+    wanted = [
+        (blocks[error.name][..., own:] if error.of_tags else blocks[error.name], getattr(bench, error.field))
+        for error in STATED_ERRORS
+        if error.of_tags or not error.shared
+    ]
     free = [(part, np.full(part.shape[-1], sd)) for part, sd in wanted if sd > 0.0]
     sds = np.concatenate([np.zeros(0), *(sd for _, sd in free)])
     return np.concatenate([blocks["stiffness"], *shared, *(part for part, _ in free)], axis=-1), sds

@@ -9,11 +9,19 @@ import numpy as np
 from onebend.beam.grid import Grid, Modes, angles, jacobians, places, positions
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.model import Beam
-from onebend.beam.problem import Problem, make_problem, riding_beyond, share_farther
+from onebend.beam.problem import Problem, make_problem, share_farther
 from onebend.beam.sensitivity import Perturbation, of_mass
 from onebend.beam.stiffness import LogSpline, Profile, UncertainStiffness, Uniform
 from onebend.errors import LearningError
-from onebend.learning.allowances import Allowance, AllowanceName, Entry, allowances_of, inertial_force, unknown_mass
+from onebend.learning.allowances import (
+    Allowance,
+    Entry,
+    Film,
+    allowances_of,
+    course_of,
+    inertial_force,
+    weight_beyond,
+)
 from onebend.learning.force_error import ForceError, force_error
 from onebend.learning.frames import known_loads, mass_profile, pose_whitening, push_places, typical, whitening_across
 from onebend.learning.parameters import NEEDS_MASS, KnownShape, Priors, Spline, curvature_sd
@@ -112,7 +120,7 @@ class OwnWeight:
 
     def force(self, problem: Problem, k: Array, parts: Array) -> Array:
         """(F, Q, 2) N beyond each node."""
-        return _beyond(problem, self.line(k, parts)[..., None], self.gravity)[..., 0]
+        return weight_beyond(problem, self.line(k, parts)[..., None], self.gravity)[..., 0]
 
     def line(self, k: Array, parts: Array) -> Array:
         """(Q,) or (F, Q) kg/m at the nodes; without the stated mass where it does not follow k."""
@@ -127,7 +135,7 @@ class OwnWeight:
     def by_stiffness(self, problem: Problem, k: Array, functions: Array, parts: Array) -> Array | None:
         """(F, Q, 2, p) N, derivatives with the coefficients of log k of `functions` (Q, p) or (F, Q, p)."""
         by_k = self.line_by_stiffness(k, functions, parts)
-        return None if by_k is None else _beyond(problem, by_k, self.gravity)
+        return None if by_k is None else weight_beyond(problem, by_k, self.gravity)
 
     def line_by_stiffness(self, k: Array, functions: Array, parts: Array) -> Array | None:
         """(Q, p) or (F, Q, p) kg/m, derivatives as above; None where the mass does not follow k."""
@@ -157,18 +165,6 @@ def own_weight(o: Observations, grid: Grid, gravity: Array, even: Array, written
     return OwnWeight(gravity, modes, grid.weights, POWERS.get(o.stated.mass_along))
 
 
-def gravity_direction(o: Observations, problem: Problem, gravity: Array, written: Profile) -> Allowance | None:
-    """Gravity (F, 2) turned by one angle [rad]; None if exact, for static poses, or without weight; `written` kg/m."""
-    if o.static or not o.stated.gravity_sd > 0.0 or not np.any(gravity):
-        return None
-    nodes = problem.grid.nodes
-    beyond = _beyond(problem, np.asarray(written(nodes))[..., None], gravity)[..., 0]
-    beyond = beyond + riding_beyond(nodes, o.stated.masses)[..., None] * gravity[:, None, :]
-    turned = np.stack([-beyond[..., 1], beyond[..., 0]], axis=-1)
-    sd = np.array([o.stated.gravity_sd])
-    return Allowance("gravity direction", "load", "rad", ("gravity's direction",), sd, turned[..., None])
-
-
 def following(o: Observations, stiffness: UncertainStiffness, mass: float) -> Profile | None:
     """kg/m of `mass` [kg] where it follows k(s); None where it does not."""
     power = POWERS.get(o.stated.mass_along)
@@ -183,12 +179,6 @@ def following(o: Observations, stiffness: UncertainStiffness, mass: float) -> Pr
     if offset is not None:
         offset = replace(offset, values=tuple(power * value for value in offset.values))
     return LogSpline(tuple(stiffness.knots.tolist()), tuple(logs.tolist()), stiffness.degree, offset)
-
-
-def _beyond(problem: Problem, line: Array, gravity: Array) -> Array:
-    force = of_mass(problem, line, gravity).force
-    assert force is not None
-    return force
 
 
 REST_MODES = Modes(3)
@@ -252,7 +242,7 @@ def fit_data(
     number: int,
     frames: BoolArray,
     spline: Spline,
-    allowances: frozenset[AllowanceName] = frozenset(),
+    allowances: frozenset[str] = frozenset(),
     known: KnownShape | None = None,
 ) -> FitData:
     """Prepare a recording; `allowances` by name, `known`: the stated shape of k.
@@ -297,11 +287,10 @@ def fit_data(
     problem = make_problem(carrier, _loads(np.zeros_like(force), push_s, gravity) + other, resolution_of(o))
     ends = held_ends(o, frames, problem)
     nodes = problem.grid.nodes
-    allowed = allowances_of(o, frames, measured, push_s, force, problem.grid, allowances, across)
+    film = Film(o, frames, measured, problem, gravity, line, across)
+    none = o.static or not np.any(frames)
     known_mass = bool(allowances) and (np.isfinite(o.stated.mass) or o.stated.masses) and not o.static
     inertia = inertial_force(o, frames, problem, line, len(force), o.stated.masses) if known_mass else np.zeros(1)
-    mass = unknown_mass(o, frames, problem, len(force)) if "inertia" in allowances else None
-    leaning = gravity_direction(o, problem, gravity, line) if "gravity direction" in allowances else None
     return FitData(
         observations=o,
         number=number,
@@ -326,7 +315,7 @@ def fit_data(
         on_nodes=spline.basis(nodes),
         offset=known.offset_at(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),
-        allowances=(*allowed, *(one for one in (mass, leaning) if one is not None)),
+        allowances=() if none else allowances_of(course_of(o, frames, film), allowances),
     )
 
 

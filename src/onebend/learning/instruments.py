@@ -13,23 +13,23 @@ from onebend.learning.allowances import (
     BETWEEN,
     BETWEEN_SD,
     POSTURE_SD,
+    TIMES,
     USUAL_THICKNESS,
-    course,
-    on_each_axis,
+    course_of,
     powers,
 )
 from onebend.learning.fit_data import FitData
 from onebend.learning.force_error import expected_noise, filtered
 from onebend.learning.frames import moved_by, typical
 from onebend.learning.linear import Hyperparameters, log_k_map
-from onebend.learning.parameters import Layout
+from onebend.learning.parameters import STATED_ERRORS, Layout
 from onebend.progress import one_blas_thread
 from onebend.records import DIRECTION_SD, GAIN_SD, PLACE_SD, Array, Observations, covariance_with_camera
 
 if TYPE_CHECKING:  # for the type alone: who reads a model loads no fit
     from onebend.learning.posterior import Posterior
 
-SHARED = ("curvature", "mass", "along", "across", "turn")  # what all pushes on one beam have in common, beside k(s)
+SHARED = tuple(error.name for error in STATED_ERRORS if error.shared)  # what all pushes have in common, beside k(s)
 
 
 @dataclass(frozen=True)
@@ -175,15 +175,8 @@ def instruments_of(posterior: Posterior) -> Instruments:
         seconds=float(np.median([np.ptp(f.observations.time[f.frames]) for f in films])),
         rest_before=float(rests[0]),
         rest_after=float(rests[1]),
-        placement_sd=_prior_sd(at, films, "along", shared=True),
-        turn_sd=_prior_sd(at, films, "turn", shared=True),
-        curvature_sd=_prior_sd(at, films, "curvature", shared=True),
-        mass_sd=_prior_sd(at, films, "mass", shared=True, part=0),
+        **{error.field: _prior_sd(at, films, error.name, shared=error.shared) for error in STATED_ERRORS},
         mass_spread_sd=_prior_sd(at, films, "mass", shared=True, part=-1),
-        clamp_sd=_prior_sd(at, films, "clamp"),
-        origin_sd=_prior_sd(at, films, "origin"),
-        scale_sd=_prior_sd(at, films, "scale"),
-        clock_sd=_prior_sd(at, films, "clock"),
         force=_force_doubt(films, scales),
         gain_sd=posterior.gain_sd,
         gravity=(float(gravity[0]), float(gravity[1])),
@@ -192,8 +185,6 @@ def instruments_of(posterior: Posterior) -> Instruments:
         shared=names,
         shared_slope=slope,
         shared_covariance=left,
-        place_sd=_prior_sd(at, films, "place"),
-        direction_sd=_prior_sd(at, films, "direction"),
         shared_mean=np.concatenate([np.zeros(0), *(at.get(posterior.mean, name) for name in names)]),
         discrepancy=_discrepancy(films, scales),
     )
@@ -256,7 +247,7 @@ def _force_doubt(films: tuple[FitData, ...], scales: Hyperparameters) -> ForceDo
     )
 
 
-def _prior_sd(at: Layout, films: tuple[FitData, ...], name: str, *, shared: bool = False, part: int = 0) -> float:
+def _prior_sd(at: Layout, films: tuple[FitData, ...], name: str, *, shared: bool, part: int = 0) -> float:
     blocks = [at.index[name, number] for number in ([-1] if shared else [f.number for f in films])]
     return float(np.median([b.prior_sd[part] if b.start >= 0 else 0.0 for b in blocks]))
 
@@ -302,7 +293,7 @@ def setup_of(posterior: Posterior) -> SetUp | None:
     """The set-up of the last recording, jointly with log k; None of poses, or where no force log shows a push."""
     number = len(posterior.recordings) - 1
     data, at = posterior.recordings[number], posterior.layout
-    o, run = data.observations, course(data.observations, data.frames)
+    o, run = data.observations, course_of(data.observations, data.frames)
     if o.static or not len(data.error.knots):
         return None
     sizes: dict[str, int] = {}
@@ -336,10 +327,11 @@ def setup_of(posterior: Posterior) -> SetUp | None:
             covariance = np.pad(covariance, (0, len(before)))
             slope = np.pad(slope, ((0, len(before)), (0, 0)))
     stated = o.stated.thickness
+    left_over = _discrepancy(posterior.recordings, posterior.optimum.hyperparameters)
     return SetUp(
         push_s=float(data.push_s[largest]),
         force=(float(data.force[largest, 0]), float(data.force[largest, 1])),
-        moved=run.largest,
+        moved=run.largest[1],
         tags=tuple(float(s) for s in o.marker_s),
         thickness=stated if np.isfinite(stated) else USUAL_THICKNESS * o.length,
         sizes=sizes,
@@ -348,7 +340,10 @@ def setup_of(posterior: Posterior) -> SetUp | None:
         covariance=0.5 * (covariance + covariance.T),
         prior_sd=np.concatenate(prior_sd),
         force_sd=float(np.hypot(left, posterior.optimum.hyperparameters.noise[number].force)),
-        discrepancy=_discrepancy(posterior.recordings, posterior.optimum.hyperparameters)[0],
+        discrepancy=left_over[0],
+        angle_discrepancy=left_over[1],
+        times=tuple(TIMES.tolist()) if "relaxation" in sizes else (),
+        reached=posterior.optimum.predictions[number].reached,
     )
 
 
@@ -366,18 +361,14 @@ def _force_error_rows(posterior: Posterior, number: int, terms: Array) -> tuple[
     Returns where the parameters stand, the polynomial's coefficients as functions of them, and what is left [N].
     """
     data, at = posterior.recordings[number], posterior.layout
-    posture, slow = at.index.get(("posture", number)), at.index["force", number]
-    blocks = [block for block in (posture, slow) if block is not None and block.start >= 0]
+    slow = -np.einsum("tk,cd->tckd", data.error.weights, np.eye(2)).reshape(len(terms), 2, -1)
+    added = {"force": slow} | {a.name: a.basis[: len(terms)] for a in data.entering("force")}
+    blocks = [block for name in added if (block := at.index[name, number]).start >= 0]
     where = slice(min(b.where.start for b in blocks), max(b.where.stop for b in blocks))
-    fitted = np.linalg.pinv(terms)  # (2, T)
-    weights, added = np.zeros((4, where.stop - where.start)), np.zeros((len(terms), 2, where.stop - where.start))
+    by_parameters = np.zeros((len(terms), 2, where.stop - where.start))
     for block in blocks:
-        inside = slice(block.start - where.start, block.start - where.start + len(block.prior_sd))
-        if block is posture:
-            added[:, :, inside] = on_each_axis(terms)
-        else:
-            added[:, :, inside] = -np.einsum("tk,cd->tckd", data.error.weights, np.eye(2)).reshape(*added.shape[:2], -1)
-    weights = np.einsum("it,tcp->icp", fitted, added).reshape(4, -1)
-    force = added @ posterior.mean[where]
+        by_parameters[..., block.start - where.start :][..., : block.count] = added[block.name]
+    weights = np.einsum("it,tcp->icp", np.linalg.pinv(terms), by_parameters).reshape(4, -1)
+    force = by_parameters @ posterior.mean[where]
     left = force - np.einsum("ti,ic->tc", terms, (weights @ posterior.mean[where]).reshape(2, 2))
     return where, weights, float(np.sqrt(np.mean(left**2)))

@@ -46,6 +46,12 @@ class Comparison:
     remarks: tuple[Notice | Remark, ...] = ()
     static: bool = False  # bench poses: `time` counts them
 
+    @property
+    def failed(self) -> bool:
+        """Whether another push misses a marker by far more than is likely: the band of k(s) is not to be trusted."""
+        least = np.maximum(SLIGHT * _motion(self), MANY * np.nan_to_num(self.sensor_rms))
+        return bool(np.any((self.rms > LIKELY * self.likely_rms) & (self.rms > least)))
+
 
 @dataclass(frozen=True)
 class Explained:

@@ -13,13 +13,17 @@ from scipy.linalg import null_space
 from onebend.beam.section import moment_errors, relative_moment
 from onebend.beam.stiffness import LogSpline, Polyline, Profile, Uniform
 from onebend.errors import LearningError
-from onebend.learning.allowances import ANYTHING, Allowance
+from onebend.learning.allowances import ANYTHING, BETWEEN, EFFECTS, Allowance
 from onebend.learning.frames import zeroed_coordinates
 from onebend.options import NOT_NEGATIVE, option
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.records import (
     CLAMP_SD,
+    CURVATURE_SD,
+    DIRECTION_SD,
+    PLACE_SD,
     SCALE_SD,
+    TURN_SD,
     Array,
     IntArray,
     MassAlong,
@@ -313,11 +317,11 @@ def shared_mass(recordings: Sequence[Observations], guess: float = np.nan) -> tu
 
 
 END_SD = (0.2, 2.0)  # of the length, rad: of a held end before the data, around where its points put it
-_REST = ("mean", "slope", "bow")  # of the curvature at rest
 _BEYOND_SD = 0.005  # of the length: its error, by which a push at the tip may seem to act beyond it
 _EVEN = 0.01  # of k: what is left of its variation, from coefficient to coefficient, where its shape is stated
 _EXACT = 1e-6  # of the mass, where it is said to be exact
 _STATED = 1e-4  # of the mass: sd of its uneven parts where its spread is stated
+_PLACEMENT_SD = 5e-4  # m, of the tags' places and the clamp's, where nobody states it
 _CLOCK_DOUBT = 2.0  # the clock search's sd: over simulated recordings its errors are about twice as large
 
 
@@ -347,17 +351,11 @@ class Priors:
 
 
 @dataclass(frozen=True)
-class Block:
-    """Some parameters that belong together."""
+class Block(Allowance):
+    """An allowance among the parameters."""
 
-    name: str
-    recording: int  # -1: shared
-    unit: str
-    prior_sd: Array
-    labels: tuple[str, ...]
-    start: int
-    within: tuple[float, float] = ANYTHING
-    sparse: bool = False
+    recording: int = -1  # -1: shared
+    start: int = -1  # -1: frozen
 
     @property
     def where(self) -> slice:
@@ -442,67 +440,51 @@ class Layout:
         return np.concatenate([np.arange(self.shared), np.arange(own.start, own.stop)])
 
 
-def make_layout(
-    spline: Spline,
-    recordings: list[Observations],
-    knots: list[int],
-    priors: Priors,
-    allowances: Sequence[Sequence[Allowance]] = (),
-) -> Layout:
-    """The layout for several recordings, with the `knots` of the force error and the `allowances` of each."""
-    shared = {a.name: a for own in allowances for a in own if a.shared}
-    first = recordings[0]
-    tags = [f"tag {i}" for i in first.tag_id[tags_among(first)]]
-    placement = _or(priors.placement, first.stated.placement_sd)
-    mounting = _or(priors.mounting, first.stated.turn_sd)
-    curvature = max(curvature_sd(r, priors) for r in recordings)
-    heavy = any(needs_mass(r) for r in recordings)
-    guessed = [r.stated.mass_sd for r in recordings if np.isfinite(r.stated.mass_sd)]
-    mass = max(guessed, default=_weighed_sd(recordings, priors))
-    wanted: list[tuple[str, int, str, float | Array, tuple[str, ...]]] = [
-        ("stiffness", -1, "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
-        ("curvature", -1, "rad", curvature, tuple(f"q0 {i}" for i in _REST)),
-        ("mass", -1, "1", mass if heavy else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
-        ("along", -1, "m", placement, tuple(f"{t} along" for t in tags)),
-        ("across", -1, "m", placement, tuple(f"{t} across" for t in tags)),
-        ("turn", -1, "rad", mounting, tuple(f"{t} turn" for t in tags)),
-        *((a.name, -1, a.unit, a.prior_sd, a.labels) for a in shared.values()),
-    ]
-    for r, one in enumerate(recordings):
-        name = one.source.name
-        own = [a for a in allowances[r] if not a.shared] if allowances else []
-        origin = _or(priors.origin, one.stated.placement_sd)
-        wanted += [
-            ("clamp", r, "rad", clamp_sd(one, priors), (f"{name}: clamp angle",)),
-            ("origin", r, "m", origin, (f"{name}: origin x", f"{name}: origin y")),
-            ("scale", r, "1", scale_sd(one, priors), (f"{name}: camera scale",)),
-            ("clock", r, "s", _clock_sd(one, priors), (f"{name}: clock offset",)),
-            ("place", r, "m", _pushed(one, one.stated.place_sd, priors.place), (f"{name}: push place",)),
-            ("direction", r, "rad", _pushed(one, one.stated.direction_sd, priors.direction), (f"{name}: force axes",)),
-            *((a.name, r, a.unit, a.prior_sd, tuple(f"{name}: {label}" for label in a.labels)) for a in own),
-            ("rest change", r, "rad", rest_change_sd(recordings, r), tuple(f"{name}: q0 {i}" for i in _REST)),
-            ("zero", r, "m", one.length, _zeros(one)),
-            ("end", r, "m", END_SD[0] * one.length, _ends(one, "x", "y")),
-            ("end turn", r, "rad", END_SD[1], _ends(one, "angle")),
-            ("force", r, "N", 1.0, tuple(f"{name}: force error {a}{i}" for i in range(knots[r]) for a in "xy")),
-        ]
-    shapes = {(a.name, -1): (a.within, a.sparse) for a in shared.values()}
-    for r, one in enumerate(recordings):
-        shapes["place", r] = (
-            (-np.inf, _BEYOND_SD * one.length + float(np.nanmin(1.0 - one.push_s)) * one.length),
-            False,
-        )
-        shapes |= {(a.name, r): (a.within, a.sparse) for a in (allowances[r] if allowances else ()) if not a.shared}
-    blocks, start = [], 0
-    for name, r, unit, sd, labels in wanted:
-        sds = np.full(len(labels), sd)
-        free = len(labels) > 0 and bool(np.all(sds > 0.0))
-        if name == "mass":
-            sds[1:] = _mass_spread(recordings, priors)
-        blocks.append(Block(name, r, unit, sds, labels, start if free else -1, *shapes.get((name, r), ())))
-        start += len(labels) if free else 0
-    index = {(b.name, b.recording): b for b in blocks}
-    return Layout(spline, tuple(blocks), start, index, known_shape(recordings))
+@dataclass(frozen=True)
+class StatedError:
+    """An error of every bench, to within a tolerance: an entry of the list that the fit, the live learner, the planner
+    and the reports read, as they read `allowances.EFFECTS`."""
+
+    name: str
+    cause: str  # its name in the reports; several may share one
+    unit: str
+    labels: tuple[str, ...]  # "{tag}" stands for each tag
+    prior: str  # the field of `Priors` that states it
+    # The field of `Stated` that states it, or the sds of recordings: of all where they share it, else of one.
+    stated: str | Callable[[Sequence[Observations], Priors], float | Array]
+    usual: float = 0.0  # where nobody states it; 0: frozen
+    shared: bool = False
+    of_push: bool = False  # nothing without a push
+
+    @property
+    def of_tags(self) -> bool:
+        """Each tag has its own."""
+        return "{tag}" in self.labels[0]
+
+    @property
+    def field(self) -> str:
+        """Of `Instruments`, its sd."""
+        return f"{self.prior}_sd" if self.name != "turn" else "turn_sd"
+
+    def allowance(self, recordings: Sequence[Observations], priors: Priors, tags: Sequence[str]) -> Allowance:
+        """As these recordings state it, of these tags."""
+        one, within = recordings[0], ANYTHING
+        if self.name == "place":  # hardly beyond the tip
+            within = -np.inf, _BEYOND_SD * one.length + float(np.nanmin(1.0 - one.push_s)) * one.length
+        if self.of_push and (one.static or not np.any(one.force != 0.0)):
+            sd: float | Array = 0.0
+        elif isinstance(self.stated, str):
+            sd = _or(getattr(priors, self.prior), getattr(one.stated, self.stated))
+        else:
+            sd = self.stated(recordings, priors)
+        return replace(self.with_sd(sd, tags), within=within)
+
+    def with_sd(self, sd: float | Array, tags: Sequence[str]) -> Allowance:
+        """With this prior."""
+        places = tags if self.of_tags else ("",)
+        labels = tuple(label.format(tag=tag) for tag in places for label in self.labels)
+        sds = np.full(len(labels), sd, dtype=float)
+        return Allowance(self.name, "bench", self.unit, labels, sds, shared=self.shared)
 
 
 def clamp_sd(one: Observations, priors: Priors) -> float:
@@ -527,11 +509,6 @@ def curvature_sd(one: Observations, priors: Priors) -> float:
     return 0.0 if one.stated.rest == "straight" else _or(priors.curvature, one.stated.curvature_sd)
 
 
-def rest_change_sd(recordings: Sequence[Observations], r: int) -> float:
-    """rad, of the Legendre states of q0 of one recording; 0 for one recording alone, or an unchanged rest."""
-    return recordings[r].stated.rest_change_sd if len(recordings) > 1 else 0.0
-
-
 def scale_sd(one: Observations, priors: Priors) -> float:
     """Of lengths in the picture before the data; a calibration gives them exactly, unless the recording says other."""
     if one.source.view is None:
@@ -539,29 +516,6 @@ def scale_sd(one: Observations, priors: Priors) -> float:
     usual = 0.0 if one.source.view.calibrated else SCALE_SD
     stated = one.stated.scale_sd if np.isfinite(one.stated.scale_sd) else usual
     return stated if priors.scale is None or one.source.view.calibrated else priors.scale
-
-
-def _ends(one: Observations, *what: str) -> tuple[str, ...]:
-    """Labels of the ends that an unknown wrench holds, pose by pose."""
-    held = np.zeros(0, dtype=int) if one.held is None else np.flatnonzero(one.held)
-    return tuple(f"{one.source.name}: held end {i + 1} {name}" for i in held.tolist() for name in what)
-
-
-def _zeros(one: Observations) -> tuple[str, ...]:
-    """Labels of the readings that count from a zero of their own."""
-    return tuple(f"{one.source.name}: zero of point {one.tag_id[i]} {'xy'[c]}" for i, c in zeroed_coordinates(one))
-
-
-def _weighed_sd(recordings: list[Observations], priors: Priors) -> float:
-    """Of a mass that is written down, over itself; its parts stay free where it is exact."""
-    stated = [r.stated.weighed_sd for r in recordings if np.isfinite(r.stated.weighed_sd)]
-    return max(min(stated), _EXACT) if stated else priors.mass
-
-
-def _mass_spread(recordings: list[Observations], priors: Priors) -> float:
-    if any(r.stated.mass_along != "unknown" for r in recordings):
-        return _STATED
-    return priors.mass_line if any(r.stated.mass_line is not None for r in recordings) else priors.mass_spread
 
 
 def _clock_sd(one: Observations, priors: Priors) -> float:
@@ -572,15 +526,120 @@ def _clock_sd(one: Observations, priors: Priors) -> float:
     return _CLOCK_DOUBT * float(one.source.clock.sd) if np.isfinite(one.source.clock.sd) else 1.0
 
 
-def _pushed(one: Observations, stated: float, prior: float | None) -> float:
-    """One sd of an error of a push; 0 without a push, or for loads at marks."""
-    if one.static or not np.any(one.force != 0.0):
+def _mass_sds(recordings: Sequence[Observations], priors: Priors) -> float | Array:
+    """Of a mass that is guessed or written down, over itself, and of its parts, which are free where it is exact."""
+    if not any(needs_mass(r) for r in recordings):
         return 0.0
-    return _or(prior, stated)
+    guessed, weighed = (
+        [sd for sd in sds if np.isfinite(sd)]
+        for sds in zip(*((r.stated.mass_sd, r.stated.weighed_sd) for r in recordings), strict=True)
+    )
+    mass = max(guessed, default=max(min(weighed), _EXACT) if weighed else priors.mass)
+    spread = priors.mass_line if any(r.stated.mass_line is not None for r in recordings) else priors.mass_spread
+    if any(r.stated.mass_along != "unknown" for r in recordings):
+        spread = _STATED
+    return np.array([mass, spread, spread, spread])
 
 
 def _or(prior: float | None, stated: float) -> float:
     return stated if prior is None else prior
+
+
+_REST = ("q0 mean", "q0 slope", "q0 bow")
+_MASS = ("mass", "mass slope", "mass bow", "mass third")
+_DIRECTION, _AXES = "direction of the force", ("force axes",)
+
+
+def _curvature_sds(recordings: Sequence[Observations], priors: Priors) -> float:
+    return max(curvature_sd(one, priors) for one in recordings)
+
+
+def _of_one(sd: Callable[[Observations, Priors], float]) -> Callable[[Sequence[Observations], Priors], float]:
+    return lambda recordings, priors: sd(recordings[0], priors)
+
+
+_TAGS, _CLAMP = "places of the tags", "clamp and origin"
+STATED_ERRORS = (
+    StatedError("curvature", "rest shape", "rad", _REST, "curvature", _curvature_sds, CURVATURE_SD, shared=True),
+    StatedError("mass", "mass", "1", _MASS, "mass", _mass_sds, shared=True),
+    StatedError("along", _TAGS, "m", ("{tag} along",), "placement", "placement_sd", _PLACEMENT_SD, shared=True),
+    StatedError("across", _TAGS, "m", ("{tag} across",), "placement", "placement_sd", _PLACEMENT_SD, shared=True),
+    StatedError("turn", _TAGS, "rad", ("{tag} turn",), "mounting", "turn_sd", TURN_SD, shared=True),
+    StatedError("clamp", _CLAMP, "rad", ("clamp angle",), "clamp", _of_one(clamp_sd), CLAMP_SD),
+    StatedError("origin", _CLAMP, "m", ("origin x", "origin y"), "origin", "placement_sd", _PLACEMENT_SD),
+    StatedError("scale", "camera", "1", ("camera scale",), "scale", _of_one(scale_sd)),
+    StatedError("clock", "clock", "s", ("clock offset",), "clock", _of_one(_clock_sd)),
+    StatedError("place", "place of the push", "m", ("push place",), "place", "place_sd", PLACE_SD, of_push=True),
+    StatedError("direction", _DIRECTION, "rad", _AXES, "direction", "direction_sd", DIRECTION_SD, of_push=True),
+)
+
+
+def groups() -> dict[str, tuple[str, ...]]:
+    """Names of all allowances of real benches, by the common name of their cause."""
+    every = [(effect.cause, name) for name, effect in EFFECTS.items()]
+    every += [(error.cause, error.name) for error in STATED_ERRORS]
+    every += [("rest shape", "rest change"), ("mountings", BETWEEN), ("error of the force log", "force")]
+    return {cause: tuple(name for of, name in every if of == cause) for cause, _ in every}
+
+
+def make_layout(
+    spline: Spline,
+    recordings: list[Observations],
+    knots: list[int],
+    priors: Priors,
+    allowances: Sequence[Sequence[Allowance]] = (),
+) -> Layout:
+    """The layout for several recordings, with the `knots` of the force error and the `allowances` of each."""
+    tags = [f"tag {i}" for i in recordings[0].tag_id[tags_among(recordings[0])]]
+    shared = {a.name: a for own in allowances for a in own if a.shared}
+    wanted = [(-1, error.allowance(recordings, priors, tags)) for error in STATED_ERRORS if error.shared]
+    wanted += [(-1, a) for a in shared.values()]
+    for r, one in enumerate(recordings):
+        own = [error.allowance([one], priors, tags) for error in STATED_ERRORS if not error.shared]
+        own += [a for a in (allowances[r] if allowances else ()) if not a.shared]
+        own += [
+            _inside("rest change", "rad", rest_change_sd(recordings, r), _REST),
+            _inside("zero", "m", one.length, _zeros(one)),
+            _inside("end", "m", END_SD[0] * one.length, _ends(one, "x", "y")),
+            _inside("end turn", "rad", END_SD[1], _ends(one, "angle")),
+            _inside("force", "N", 1.0, tuple(f"force error {a}{i}" for i in range(knots[r]) for a in "xy")),
+        ]
+        named = [tuple(f"{one.source.name}: {label}" for label in a.labels) for a in own]
+        wanted += [(r, replace(a, labels=labels)) for a, labels in zip(own, named, strict=True)]
+    return layout_of(spline, wanted, known_shape(recordings))
+
+
+def layout_of(spline: Spline, wanted: Sequence[tuple[int, Allowance]], known: KnownShape | None = None) -> Layout:
+    """The layout of log k and of these allowances, each with the number of its recording; without a prior sd they are
+    frozen."""
+    first = _inside("stiffness", "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count)))
+    blocks, start = [], 0
+    for recording, one in ((-1, first), *wanted):
+        free = len(one.labels) > 0 and float(one.prior_sd[0]) > 0.0
+        blocks.append(Block(**vars(one), recording=recording, start=start if free else -1))
+        start += len(one.labels) if free else 0
+    return Layout(spline, tuple(blocks), start, {(b.name, b.recording): b for b in blocks}, known)
+
+
+def _inside(name: str, unit: str, sd: float, labels: tuple[str, ...]) -> Allowance:
+    """A group of the model's own."""
+    return Allowance(name, "bench", unit, labels, np.full(len(labels), sd))
+
+
+def rest_change_sd(recordings: Sequence[Observations], r: int) -> float:
+    """rad, of the Legendre states of q0 of one recording; 0 for one recording alone, or an unchanged rest."""
+    return recordings[r].stated.rest_change_sd if len(recordings) > 1 else 0.0
+
+
+def _ends(one: Observations, *what: str) -> tuple[str, ...]:
+    """Labels of the ends that an unknown wrench holds, pose by pose."""
+    held = np.zeros(0, dtype=int) if one.held is None else np.flatnonzero(one.held)
+    return tuple(f"held end {i + 1} {name}" for i in held.tolist() for name in what)
+
+
+def _zeros(one: Observations) -> tuple[str, ...]:
+    """Labels of the readings that count from a zero of their own."""
+    return tuple(f"zero of point {one.tag_id[i]} {'xy'[c]}" for i, c in zeroed_coordinates(one))
 
 
 def log_axes(direction: Array) -> Array:

@@ -250,6 +250,7 @@ class Posterior:
     criticism: Criticism  # whether the model holds
     left_out: tuple[BoolArray, ...]  # (T,) of each recording, poses that no stable equilibrium explains
     place: PlaceSearch | None = None  # other places of the push, where they are worth a look
+    contradicted_by: tuple[str, ...] = ()  # names of validations that miss by far more than is likely
 
     @property
     def recordings(self) -> tuple[FitData, ...]:
@@ -305,6 +306,7 @@ class Posterior:
         if worst_off(self.frequencies) > GROSS:
             doubts.append("the frequencies contradict the fit")
         doubts += self.weight_doubts
+        doubts += [f"the validation on {name} misses by far more than is likely" for name in self.contradicted_by]
         if self.optimum.converged and not self.misses and (doubt := doubt_of(self.contradictions)):
             doubts.append(doubt)
         for o in (recording.observations for recording in self.recordings):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -27,7 +27,9 @@ from onebend.beam.statics import Equilibrium, gradient, tangent
 from onebend.beam.stiffness import RectangularSection, UncertainStiffness
 from onebend.learning.allowances import (
     SLIDE_SD,
+    Allowance,
     Entry,
+    lags,
     memory,
     reached_part,
     remembered,
@@ -150,6 +152,24 @@ def response_columns(changes: Mapping[str, Perturbation]) -> ResponseColumns:
         slices[name] = slice(start, start + len(change.clamp))
         start += len(change.clamp)
     return ResponseColumns(Perturbations(tuple(changes.values())), slices)
+
+
+def allowed(allowances: Iterable[Allowance], enters: Entry, value: Callable[[str], Array]) -> Array | float:
+    """The sum of those that enter here at the values of their parameters, by name; 0 where there are none."""
+    return sum((a.basis @ value(a.name) for a in allowances if a.enters == enters), start=0.0)
+
+
+def allowed_blocks(allowances: Iterable[Allowance], blocks: Mapping[str, Array]) -> dict[str, Array]:
+    """(F, m, 3, n) by name, from those with the "push" (of a beam without memory), its "place" and the "clamp"."""
+    out = {}
+    for a in allowances:
+        if a.enters == "force":
+            out[a.name] = blocks["push"] @ a.basis[:, None]
+        elif a.enters in ("place", "clamp"):
+            out[a.name] = blocks[a.enters] * a.basis[:, None, None, :]
+        elif a.enters == "poses":
+            out[a.name] = a.basis
+    return out
 
 
 def place_responses(solved: Equilibrium, changes: Mapping[str, Perturbation], s: Array) -> dict[str, Array]:
@@ -329,7 +349,7 @@ class State:
 
     def allowed(self, enters: Entry) -> Array | float:
         """The sum of the allowances that enter here; 0 where there are none. Shapes: see `Entry`."""
-        return sum((a.basis @ self.value(a.name) for a in self.data.entering(enters)), start=0.0)
+        return allowed(self.data.allowances, enters, self.value)
 
     @property
     def length(self) -> Array:
@@ -559,6 +579,15 @@ class Prediction(State):
         return self.solved.q - self.rest
 
     @property
+    def reached(self) -> tuple[float, ...]:
+        """The part of the bending that a relaxing share of one reaches over the push, for each time; () without any."""
+        if self.relaxation is None:
+            return ()
+        _, time = self.relaxation
+        bent, weights = self.bending[: len(time)], self.solved.problem.weights
+        return tuple(reached_part(lag @ bent, bent, weights) for lag in lags(time))
+
+    @property
     def slopes(self) -> Slopes:
         """Derivatives of the tags' poses (F, m, 3), exact."""
         return _slopes(self)
@@ -650,8 +679,7 @@ def _slopes(now: Prediction) -> Slopes:
             slopes = replace(slopes, j=out, added=ride.carry(memory.by_push), keys=memory.keys)
     blocks = columns.split(carried)
     blocks["rest change"] = blocks["curvature"]
-    blocks |= {a.name: blocks["clamp"] * a.basis[:, None, None, :] for a in data.entering("clamp")}
-    blocks |= {a.name: a.basis for a in data.entering("poses")}
+    blocks |= allowed_blocks(data.entering("clamp") + data.entering("poses"), blocks)
     put_blocks(slopes.j, free, blocks)
     put_tags(slopes.j, free, _tag_motion(now, ride, s), data.tags)
     if data.ends is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,12 +12,14 @@ from onebend.beam.loads import Loads, push
 from onebend.beam.model import Beam
 from onebend.beam.problem import has_mass, make_problem
 from onebend.beam.sensitivity import of_force, respond
+from onebend.beam.setup import Bent, SetUp
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning import static_poses
 from onebend.learning.fit_data import AtRest
 from onebend.learning.frames import (
+    evenly_spread,
     from_the_clamp,
     loads_of,
     marker_rms,
@@ -24,6 +27,7 @@ from onebend.learning.frames import (
     points_of,
     push_places,
     read_alone,
+    typical,
     usable_frames,
 )
 from onebend.learning.frequencies import validated_frequencies
@@ -33,6 +37,8 @@ from onebend.learning.prediction import few_frames, variances
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, Observations, Remark
 
+_DRAWS, _LIKELY_FRAMES = 60, 12  # which tell how far tags are likely to be off
+_SAME_PLACE = 1e-3  # of s, between places of one push
 _CHUNK = 500  # frames solved together: their tangents stay in the cache
 
 
@@ -49,21 +55,30 @@ def validate(
     *,
     rest: AtRest | None = None,
     stiffness: UncertainStiffness | None = None,
+    setup: SetUp | None = None,
 ) -> Comparison:
     """Measured markers against the beam's under the measured forces, in every usable frame. The tags' mounting errors
     come from `rest`, or else from the beam's own shape at rest. `stiffness`: its k(s) with a band, if it was learned
-    from other recordings; it gives the likely RMS. Raises `LearningError` without a usable frame, or without a mass
-    where weight acts; `MechanicsError` if k(s) is not positive."""
-    observations = read_alone(observations)
+    from other recordings; it gives the likely RMS. `setup`: that in which the beam was learned, with what is new in
+    these recordings (`SetUp.renewed`); the push is a new contact in any case. A film of one push then has the beam in
+    this set-up. Raises `LearningError` without a usable frame, or without a mass where weight acts; `MechanicsError`
+    if k(s) is not positive."""
+    observations, here = read_alone(observations), None
+    if setup is not None and stiffness is not None and _one_push(observations):
+        here = _Pushed(beam, stiffness, _as_pushed(setup, observations), observations)
+        origin = here.setup.origin
+        observations = replace(observations, xy=observations.xy - origin, rest_xy=observations.rest_xy - origin)
     frames = usable_frames(observations)
     if not np.any(frames):
         why = nothing_moves(observations) or "no frame has a load, a force and a tag"
         raise LearningError(f"{observations.source.name}: {why}; nothing to compare")
     if weighs(observations) and not has_mass(beam):
         raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
-    offset = mounting(beam, observations) if rest is None else rest.offset
-    parts, used = [], np.flatnonzero(frames)
-    for solved in solved_frames(beam, observations, frames):
+    still = _at_rest(beam) if here is None else here.bent(np.zeros((1, 2))).solved
+    offset = mounting(still, observations) if rest is None else rest.offset
+    parts, every = [], np.flatnonzero(frames)
+    used = every
+    for solved in solved_frames(beam, observations, frames) if here is None else here.frames(frames):
         chunk = np.zeros_like(frames)
         chunk[used[: len(solved.q)]], used = True, used[len(solved.q) :]
         tags = _predicted(solved, observations, chunk, offset)
@@ -88,7 +103,9 @@ def validate(
         stable=stable,
         rms=np.where(np.any(observations.marker_s), marker_rms(measured - predicted), np.nan),  # no clamp by itself
         sensor_rms=sensor_rms,
-        likely_rms=_likely_rms(beam, observations, frames, stiffness, sensor_rms),
+        likely_rms=_likely_rms(beam, observations, frames, stiffness, sensor_rms)
+        if here is None
+        else np.hypot(np.nan_to_num(sensor_rms), here.spread(evenly_spread(every, _LIKELY_FRAMES, len(frames)))),
         remarks=notices + (validated_frequencies(beam, observations) if has_mass(beam) else ()),
         static=observations.static,
     )
@@ -130,9 +147,15 @@ def solved_frames(
         )
 
 
-def mounting(beam: Beam, observations: Observations) -> Array:
-    """(m, 2) m, of each tag from its place on the beam at rest, in the tangent's frame; 0 where it was not seen."""
+def _at_rest(beam: Beam) -> Equilibrium:
+    """One frame with nothing on the beam."""
     [solved] = simulate(beam, push(np.zeros((1, 2))))
+    return solved
+
+
+def mounting(solved: Equilibrium, observations: Observations) -> Array:
+    """(m, 2) m, of each tag from its place on the beam at rest, in the tangent's frame; 0 where it was not seen.
+    `solved`: one frame with nothing on the beam."""
     alpha, away = solved.angle(observations.marker_s)[0], observations.rest_xy - solved.xy(observations.marker_s)[0]
     cos, sin = np.cos(alpha), np.sin(alpha)
     offset = np.stack([cos * away[:, 0] + sin * away[:, 1], -sin * away[:, 0] + cos * away[:, 1]], axis=1)
@@ -175,6 +198,57 @@ def _likely_rms(
     [solved] = solved_frames(beam, observations, few)
     parts = variances(solved, observations, few, stiffness)
     return np.asarray(np.sqrt(np.nan_to_num(sensor_rms) ** 2 + sum(parts.values())))
+
+
+@dataclass(frozen=True)
+class _Pushed:
+    """A beam in its set-up, and a film of one push."""
+
+    beam: Beam
+    known: UncertainStiffness
+    setup: SetUp
+    observations: Observations
+
+    def bent(self, force: Array, at: tuple[Array, Array] | None = None) -> Bent:
+        """Under logged forces (T, 2) [N]."""
+        x, y = self.observations.gravity[0].tolist()
+        return self.setup.bent(self.beam, self.known, force, at, gravity=(x, y))
+
+    def frames(self, frames: BoolArray) -> Iterator[Equilibrium]:
+        """The equilibria of these frames (T,), chunk by chunk."""
+        force = self.observations.force[frames]
+        for i in range(0, len(force), _CHUNK):
+            yield self.bent(force[i : i + _CHUNK]).solved
+
+    def spread(self, few: BoolArray) -> Array:
+        """(m,) m, RMS by which tags are likely to be off in a few frames (T,), beside the sensor's noise: by k(s) and
+        set-up, what no part of them explains, and the tags' own noise."""
+        force, s = self.observations.force[few], self.observations.marker_s
+        count, (logs, numbers) = len(force), self.setup.draw(self.known, _DRAWS, seed=0)
+        at = np.repeat(logs, count, axis=0), np.repeat(numbers, count, axis=0)
+        drawn, moved = self.bent(np.tile(force, (_DRAWS, 1)), at), self.bent(force).xy(s)
+        moved = moved - self.bent(np.zeros((1, 2))).xy(s)
+        rest = self.bent(np.zeros((_DRAWS, 2)), (logs, numbers)).xy(s)  # the tags' mounting is that of frames at rest
+        away = drawn.xy(s).reshape(_DRAWS, count, *rest.shape[1:]) - rest[:, None] - moved
+        variance = np.mean(np.sum(away**2, axis=-1)[drawn.stands.reshape(_DRAWS, count)], axis=0)
+        left = 2.0 * self.setup.discrepancy**2 * np.mean(np.sum(moved**2, axis=-1), axis=0)
+        seen = np.nan_to_num(typical(np.trace(self.observations.covariance[few, :, :2, :2], axis1=2, axis2=3)))
+        return np.asarray(np.sqrt(variance + left + seen))
+
+
+def _one_push(o: Observations) -> bool:
+    """Whether it is a film of a push at one place, with nothing else on the beam that changes."""
+    places = push_places(o)
+    one = o.known_loads is None and o.held is None and not o.static and np.any(o.force != 0.0)
+    still = not np.any(o.gravity != o.gravity[0]) and float(np.nanmax(places) - np.nanmin(places)) < _SAME_PLACE
+    return bool(one and still and o.readings.at == "mark")
+
+
+def _as_pushed(setup: SetUp, o: Observations) -> SetUp:
+    """The set-up under the push of this film, which is a new contact with the place as it is stated here."""
+    sd = setup.prior_sd.copy()
+    sd[setup.columns.get("place", slice(0))] = max(o.stated.place_sd, _SAME_PLACE * o.length)
+    return replace(setup, prior_sd=sd).renewed(["contact"], push_s=float(np.nanmedian(push_places(o))), length=o.length)
 
 
 def _notices(stable: BoolArray, converged: BoolArray) -> tuple[Notice, ...]:

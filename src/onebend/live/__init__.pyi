@@ -19,11 +19,9 @@ from .live import (
 from .played import (
     Arrival as Arrival,
     Disturbances as Disturbances,
-    Followed as Followed,
     OwnClock as OwnClock,
     PlayedCamera as PlayedCamera,
     PlayedForce as PlayedForce,
-    follow as follow,
     play as play,
     played_camera as played_camera,
     played_force as played_force,

@@ -11,13 +11,12 @@ from scipy.linalg.lapack import dpotrf, dpotrs, dpstrf, dtrtrs
 
 from onebend.errors import LearningError
 from onebend.learning import normal
-from onebend.learning.allowances import AllowanceName
-from onebend.learning.force_error import LOAD
+from onebend.learning.allowances import LIVE_ALLOWANCES
 from onebend.learning.hyperparameters import CHOSEN, SPREAD
 from onebend.learning.normal import RHO, SPREAD as PRIOR_SPREAD, STEP_DIRECTIONS, TAU, WIDE_SHARE, InformationForm
 from onebend.learning.parameters import Priors, Spline
-from onebend.live.key_frames import CAUSAL_ALLOWANCES
 from onebend.live.posterior import KeyFramePosterior, LiveHyperparameters
+from onebend.recording.force_noise import LOAD
 from onebend.records import Array, ForceNoise
 
 # A search for the most probable hyperparameters of the force error, one trial with every fourth frame. Climbs change
@@ -224,7 +223,7 @@ class OnlineSettings:
     gate: float = 8.0  # sd: a tag farther from where it is expected is left out,
     patience: int = 8  # unless it is that far off in so many frames in a row
     step: float = 0.7  # of log k: the most that one update moves it
-    allowances: frozenset[AllowanceName] = CAUSAL_ALLOWANCES  # what a real beam and bench may also do
+    allowances: frozenset[str] = LIVE_ALLOWANCES  # what a real beam and bench may also do
     thickness: float | None = None  # m, of the section in the plane of bending; None: not known
     tag_size: float | None = None  # m, side of a tag's black square; None: not known
 
@@ -251,8 +250,8 @@ class OnlineSettings:
                 raise LearningError(f"{name} cannot be negative, got {value}")
             if name in ("thickness", "tag_size") and value is not None and not (np.isfinite(value) and value > 0.0):
                 raise LearningError(f"{name} must be a length in m, got {value}")
-        if not self.allowances <= CAUSAL_ALLOWANCES:
-            other = ", ".join(sorted(self.allowances - CAUSAL_ALLOWANCES))
+        if not self.allowances <= LIVE_ALLOWANCES:
+            other = ", ".join(sorted(self.allowances - LIVE_ALLOWANCES))
             raise LearningError(f"the live learner has no allowance for: {other}")
         for name, least in (("functions", 5), ("key_frames", 5), ("renewed", 1), ("patience", 1)):
             if getattr(self, name) < least:

@@ -8,122 +8,108 @@ two are alike, the oldest is marginalised (`posterior.py`).
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 
-from onebend.learning import allowances
-from onebend.learning.allowances import ANGLE, DEGREE, OF_ONE, TIMES, XY, Allowance, AllowanceName, PushCourse, length
+from onebend.learning.allowances import TIMES, Allowance, PushCourse, allowances_of
 from onebend.recording.force_noise import BEFORE, CLEAR, EARLY, TURN, LoadChange, TimeSpans, own_time
 from onebend.records import Array, BoolArray, IntArray
 
-# Allowances of a learner that sees frame after frame: those that need no later frame and no place of the camera.
+# What the allowances know of a frame are their bases. A key frame keeps them, one after the other, as its `terms`.
 # Displacements are over the beam's length; the priors follow the largest one so far (`course_scale`).
 
-# Of the others, inertia needs frames to come, gravity's direction the weight, and three need the camera's place.
-CAUSAL_ALLOWANCES: frozenset[AllowanceName] = OF_ONE - {
-    "outline",
-    "inertia",
-    "gravity direction",
-    "heights",
-    "camera",
-    "rolling shutter",
-}
-_LINEAR = (0, 2)  # those of the discrepancy's functions that are linear in the displacement, on both ways
-# For time's sake these stand for all five. Their sd is such that at the largest displacement they are worth as much.
-_WORTH = float(np.sqrt((1.0 + 1.0 + 0.25 + 0.25 + 1.0) / (1.0 + 0.25)))
-TERMS = 2 + DEGREE + len(_LINEAR)  # numbers of a frame, see `CourseSoFar.terms`
-SLIDE, CLAMP = slice(0, 1), slice(1, 2)
-POSTURE, SMOOTH = slice(2, 2 + DEGREE), slice(2 + DEGREE, TERMS)
-OF_COURSE: tuple[AllowanceName, ...] = ("posture", "discrepancy", "angle discrepancy")  # their sds follow the push
 
-
-def causal_allowances(marker_s: Array, beam_length: float, tag_size: float, *, thick: bool) -> tuple[Allowance, ...]:
-    """All of them, without frames; `tag_size` m, NaN where not known; `thick`: the section's thickness is known."""
-    tags = tuple(f"tag {i}" for i in range(1, len(marker_s) + 1))
-    no_functions = np.zeros((0, len(_LINEAR)))
-    empty = np.zeros(0)
-    none = PushCourse(empty, empty, empty, empty, np.zeros((0, len(marker_s))), 0.0)
-    return (
-        allowances.section(known=thick),
-        allowances.relaxation(none),
-        allowances.sliding(marker_s, none, np.zeros(0)),
-        allowances.giving(none, 0),
-        allowances.posture_bias(none, np.array([[1.0, 0.0]])),  # per N of the largest force
-        allowances.patches(marker_s, beam_length, tag_size, None),
-        length(),
-        *(
-            replace(one, prior_sd=_WORTH * one.prior_sd)
-            for one in allowances.discrepancy_of(no_functions, tags, beam_length)
-        ),
+def course_of_frame(marker_s: Array, beam_length: float, tag_size: float, *, thick: bool) -> PushCourse:
+    """One frame under a force of one newton, unbent; `tag_size` m, NaN where not known."""
+    rest, m = np.zeros(1), len(marker_s)
+    return PushCourse(
+        length=beam_length,
+        marker_s=marker_s,
+        on_body=np.ones(m, dtype=bool),
+        tags=tuple(f"tag {i}" for i in range(1, m + 1)),
+        tag_size=tag_size,
+        thick=thick,
+        time=rest,
+        force=np.array([[1.0, 0.0]]),
+        largest=(1.0, 1.0),
+        push_s=rest,
+        bend=rest,
+        back=rest,
+        elapsed=rest,
+        turn=np.zeros((1, m)),
     )
 
 
-def course_scale(name: str, parameters: int, largest: float, bend: float) -> Array:
-    """(n,) factors on an allowance's `prior_sd`: `largest` N, the largest force so far; `bend` the largest displacement
-    over the length."""
-    if name == "posture":
-        return np.asarray((largest or 1.0) / np.tile(bend ** np.arange(1.0, DEGREE + 1.0), parameters // DEGREE))
-    return np.full(parameters, 1.0 / bend if name in OF_COURSE else 1.0)
+@dataclass(frozen=True)
+class FrameTerms:
+    """Allowances that go with the frames, each with its basis in one frame."""
+
+    allowances: tuple[Allowance, ...]
+
+    @cached_property
+    def names(self) -> frozenset[str]:
+        return frozenset(a.name for a in self.allowances)
+
+    @cached_property
+    def ends(self) -> list[int]:
+        """Where each ends among the terms."""
+        return list(accumulate(a.basis.size for a in self.allowances))
+
+    @property
+    def count(self) -> int:
+        return self.ends[-1] if self.ends else 0
+
+    def with_terms(self, terms: Array) -> list[Allowance]:
+        """The allowances with their bases in B frames of these `terms` (B, count)."""
+        parts = np.split(terms, self.ends[:-1], axis=1) if self.ends else []
+        pairs = zip(self.allowances, parts, strict=True)
+        return [replace(a, basis=part.reshape(len(terms), *a.basis.shape[1:])) for a, part in pairs]
+
+
+def course_scale(one: Allowance, largest: float, bend: float) -> Array:
+    """(n,) factors on its `prior_sd`: `largest` N, the largest force so far; `bend` the largest displacement over the
+    length."""
+    force = (largest or 1.0) if one.of_force else 1.0
+    return np.asarray(force / bend**one.powers) if len(one.powers) else np.ones(one.count)
 
 
 class CourseSoFar:
     """The course of a push, from frames as they come."""
 
-    def __init__(self, marker_s: Array) -> None:
-        self._marker_s = marker_s
-        self._rest = np.full(len(marker_s), np.nan)  # rad, of each tag
-        self._turn = np.zeros(len(marker_s))
+    def __init__(self, course: PushCourse, terms: FrameTerms) -> None:
+        """`course` of one frame, and the allowances whose bases are wanted."""
+        self._course, self._terms = course, terms
+        self._rest = np.full(len(course.marker_s), np.nan)  # rad, of each tag
+        self._turn = np.zeros(len(course.marker_s))
 
-    def terms(self, angle: Array, visible: BoolArray, bend: float, push_s: float, *, back: bool, loaded: bool) -> Array:
-        """(TERMS,) of the next frame, zero at rest: the turn of the beam at the push, that of the first tag, the powers
-        of the displacement, the discrepancy's functions.
+    def terms(self, angle: Array, visible: BoolArray, force: Array, push_s: float, *, bend: float, back: bool) -> Array:
+        """(count,) of the next frame, under a force (2,) N at `push_s`.
 
         `angle` (m,) rad of the tags where `visible`; `bend` displacement over the length; `back`: the load falls.
         """
-        unknown = visible & (np.isnan(self._rest) | (not loaded))
+        unknown = visible & np.isnan(self._rest)
         self._rest[unknown] = angle[unknown]
-        if not loaded:
-            self._turn = np.zeros_like(self._turn)
-            return np.zeros(TERMS)
         turn = angle - self._rest
         turn -= 2.0 * np.pi * np.round((turn - self._turn) / (2.0 * np.pi))
         self._turn = np.where(visible, turn, self._turn)
-        out = np.empty(TERMS)
-        once = np.zeros(1)
-        run = PushCourse(once, np.array([bend]), np.array([float(back)]), once, self._turn[None], 0.0)
-        out[SLIDE] = allowances.turn_at_push(self._marker_s, run.turn, np.array([push_s]))
-        out[CLAMP], out[POSTURE], out[SMOOTH] = (
-            self._turn[0],
-            allowances.powers(run.bend),
-            allowances.smooth_functions(run)[:, _LINEAR],
+        course = replace(
+            self._course,
+            force=force[None],
+            push_s=np.array([push_s]),
+            bend=np.array([bend]),
+            back=np.array([float(back)]),
+            turn=self._turn[None],
         )
-        return out
+        found = allowances_of(course, self._terms.names)
+        return np.concatenate([np.zeros(0), *(a.basis.ravel() for a in found)])
 
-
-class CourseBases:
-    """The allowances that go with the course of the push, at the `terms` (B, TERMS) of B frames; `carried` by name."""
-
-    def __init__(self, terms: Array, tags: int, carried: Collection[str]) -> None:
-        self._terms, self._carried = terms, carried
-        self.force = allowances.on_each_axis(terms[:, POSTURE])  # (B, 2, 4) N per unit: the posture-dependent bias
-        axes = {"discrepancy": XY, "angle discrepancy": ANGLE}
-        self.poses = {
-            name: allowances.of_axes(terms[:, SMOOTH], tags, of) for name, of in axes.items() if name in carried
-        }
-
-    def blocks(self, of: Mapping[str, Array]) -> dict[str, Array]:
-        """(B, m, 3, n) by name, of the tags' poses, from those with the "push", its "place" and the "clamp"."""
-        slide, clamp = (self._terms[:, None, None, part] for part in (SLIDE, CLAMP))
-        out = {"slide": of["place"] * slide, "clamp gives": of["clamp"] * clamp} | self.poses
-        if "posture" in self._carried:
-            out["posture"] = of["push"] @ self.force[:, None]
-        return out
-
-    def moved(self, values: Mapping[str, Array]) -> Array | float:
-        """(B, m, 3) by which the tags seem to be off at these parameters."""
-        return sum((basis @ values[name] for name, basis in self.poses.items()), start=0.0)
+    def rest(self, angle: Array, visible: BoolArray) -> Array:
+        """(count,) zeros, of the next frame, at rest."""
+        self._rest[visible], self._turn = angle[visible], np.zeros_like(self._turn)
+        return np.zeros(self._terms.count)
 
 
 _FINE = 0.005  # of the largest displacement: smaller differences are not kept
@@ -245,7 +231,7 @@ class KeyFrames:
     """Room for K frames; the first `used` are taken, in order of time. In few arrays, to move a frame quickly."""
 
     used: int
-    numbers: Array  # (K, 14 + TERMS)
+    numbers: Array  # (K, 14 + terms)
     flags: BoolArray  # (K, 3): `rest`, `stale`, `lost`
     measured: Array  # (K, m, 3)
     information: Array  # (K, m, 3, 3) of `measured`; zero where a tag was not seen
@@ -266,7 +252,7 @@ class KeyFrames:
     rate = _View("numbers", slice(8, 10))  # (K, 2) N/s
     gravity = _View("numbers", slice(10, 12))  # (K, 2) m/s^2
     error = _View("numbers", slice(12, 14))  # (K, 2) N, the force's, at which it was linearised
-    terms = _View("numbers", slice(14, None))  # (K, TERMS) of the allowances, see `CourseSoFar.terms`
+    terms = _View("numbers", slice(14, None))  # (K, terms) of the allowances
     j = _View("linear", slice(None, -3))  # (K, m, 3, n) derivatives with the parameters
     a = _View("linear", slice(-3, -1))  # (K, m, 3, 2) derivatives with the force
     zeta = _View("linear", -1)  # (K, m, 3)
@@ -332,7 +318,7 @@ class KeyFrames:
         self.rows[i] = (self.root[i] @ self.linear[i]).reshape(self.rows.shape[1:])
 
 
-def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
+def empty(most: int, tags: int, parameters: int, nodes: int, terms: int) -> KeyFrames:
     """Room for `most` key frames, two new ones, and two averages in the making."""
     count = most + 4
 
@@ -341,7 +327,7 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
 
     return KeyFrames(
         used=0,
-        numbers=room(14 + TERMS),
+        numbers=room(14 + terms),
         flags=np.zeros((count, 3), dtype=bool),
         measured=room(tags, 3),
         information=room(tags, 3, 3),

@@ -17,14 +17,14 @@ from onebend.beam.grid import powers_to_legendre
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers, Profile, UncertainStiffness, Uniform
 from onebend.errors import LearningError
-from onebend.learning.allowances import OF_ONE, AllowanceName
+from onebend.learning.allowances import OF_ONE
 from onebend.learning.optimizer import MISS
 from onebend.learning.parameters import Layout, Spline
 from onebend.learning.posterior import Nuisance
 from onebend.live import key_frames
 from onebend.live.hyperparameters import HyperparameterSearch, OnlineSettings, StiffnessChains, force_process
 from onebend.live.key_frames import CourseSoFar, KeyFrames, LoadStages
-from onebend.live.model import MOST_PANELS, ORDER, Lineariser, LiveSession, session_layout
+from onebend.live.model import MOST_PANELS, ORDER, Lineariser, LiveSession, session_of
 from onebend.live.posterior import (
     KeyFramePosterior,
     KeyFrameSums,
@@ -230,7 +230,7 @@ class Smoother:
         self.x = x  # (n,) the estimate
         self.point = x  # (n,) linearisation point; one for all frames, or their mismatch would look like information
         self.hyperparameters = hyperparameters = settings.hyperparameters
-        self.keys = key_frames.empty(settings.key_frames, tags, n, MOST_PANELS * ORDER)
+        self.keys = key_frames.empty(settings.key_frames, tags, n, MOST_PANELS * ORDER, session.terms.count)
         self.marginalised = nothing_marginalised(n)
         self._session, self._prior, self._settings = session, prior, settings
         self._search = HyperparameterSearch(hyperparameters, settings.memory_doubt)
@@ -239,7 +239,7 @@ class Smoother:
         self._stiffness_prior = prior.stiffness_prior(begin)
         drawn = settings.adapt and prior.fixed is None
         self._chains = StiffnessChains(spline, level, settings.roughness, settings.steps) if drawn else None
-        self._stages, self._course = LoadStages(session.length, tags), CourseSoFar(session.marker_s)
+        self._stages, self._course = LoadStages(session.length, tags), CourseSoFar(session.course, session.terms)
         self._before = 0.0  # the load's own time from changes of the load that are settled
         self._guess, self._spent = hyperparameters.marker, 0.0
         self._looks, self._turns = 0, 0
@@ -303,9 +303,12 @@ class Smoother:
 
     def _write(self, frame: CheckedFrame, rate: Array) -> int:
         """Write the frame behind the key frames in use; returns its index."""
-        bend, back = self._stages.displacement / self._session.length, self._stages.falling
-        angle, tags = frame.measured[:, 2], frame.visible
-        terms = self._course.terms(angle, tags, bend, frame.push_s, back=back, loaded=frame.loaded)
+        course, stages, angle, tags = self._course, self._stages, frame.measured[:, 2], frame.visible
+        if frame.loaded:
+            bend, back = stages.displacement / self._session.length, stages.falling
+            terms = course.terms(angle, tags, frame.force, frame.push_s, bend=bend, back=back)
+        else:
+            terms = course.rest(angle, tags)
         keys, i = self.keys, write_frame(self.keys, frame, rate, terms)
         if frame.loaded:
             self._lineariser.pushed_at(frame.push_s)
@@ -476,7 +479,7 @@ class Smoother:
 
 
 _EXACT = 1e-12  # of the largest variance of a start: smaller ones are rounding
-_HELD: frozenset[AllowanceName] = frozenset({"patches"})  # what k(s) of a fit has in it
+_HELD = frozenset({"patches"})  # what k(s) of a fit has in it
 _STIFFER = 0.2  # added to log k where the estimate has no equilibrium under a force that the beam withstood
 
 
@@ -522,7 +525,8 @@ class OnlineLearner:
         settings.check()
         self._held = _HELD if isinstance(start, UncertainStiffness) else frozenset()
         thickness, tag_size = (np.nan if v is None else v for v in (settings.thickness, settings.tag_size))
-        layout = session_layout(
+        self.settings, self._gain_sd = settings, gain_sd
+        self._session = session_of(
             Spline(settings.functions),
             s,
             settings.priors,
@@ -532,9 +536,7 @@ class OnlineLearner:
             thickness=thickness,
             tag_size=tag_size,
         )
-        self.settings = settings
-        self._session, self._gain_sd = LiveSession(length, s, mass, layout, thickness, tag_size), gain_sd
-        prior, x = _prior_and_point(layout, start)
+        prior, x = _prior_and_point(self._session.layout, start)
         self._state = Smoother(self._session, prior, x, settings)
         self._doubts = start.doubts if isinstance(start, UncertainStiffness) else ()  # what it rests on stays in doubt
         self._last: tuple[float, Array] | None = None

@@ -4,8 +4,8 @@ push."""
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 from scipy.linalg.lapack import dposv, dpotrf, dpotrs
@@ -19,8 +19,12 @@ from onebend.beam.stiffness import RectangularSection
 from onebend.learning import prediction
 from onebend.learning.allowances import (
     LARGEST,
+    LIVE_ALLOWANCES,
     TIMES,
-    AllowanceName,
+    Allowance,
+    Entry,
+    PushCourse,
+    allowances_of,
     lag_weights,
     patch_functions,
     patch_means,
@@ -28,14 +32,13 @@ from onebend.learning.allowances import (
     shift_of_lags,
 )
 from onebend.learning.fit_data import MASS_MODES, REST_MODES
-from onebend.learning.parameters import Block, Layout, Priors, Spline, log_axes
+from onebend.learning.parameters import STATED_ERRORS, Layout, Priors, Spline, layout_of, log_axes
 from onebend.learning.prediction import BentBeam, ResponseColumns, TagRide
-from onebend.live.key_frames import CLAMP, OF_COURSE, SLIDE, CourseBases, KeyFrames, causal_allowances, course_scale
-from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD, TURN_SD, Array, BoolArray
+from onebend.live.key_frames import FrameTerms, KeyFrames, course_of_frame, course_scale
+from onebend.records import Array, BoolArray
 
 ORDER, WIDEST = 12, 0.5
 MOST_PANELS = 4  # two before the push, and two behind one that is near the clamp
-_PLACEMENT_SD = 5e-4  # m, of the tags' places and the clamp's
 _GRIDS = 50  # over the length; a push between two places acts along the tangent from the nearer one
 
 
@@ -47,8 +50,15 @@ class LiveSession:
     marker_s: Array  # (m,)
     mass: float  # kg
     layout: Layout
+    course: PushCourse  # of one frame
+    allowances: tuple[Allowance, ...] = ()  # with their bases in one frame, where they have some
     thickness: float = math.nan  # m, of the section in the plane of bending; NaN: not known
-    tag_size: float = math.nan  # m, side of a tag's black square; NaN: not known
+
+    @cached_property
+    def terms(self) -> FrameTerms:
+        """The allowances that go with the frames."""
+        enter = ("force", "place", "clamp", "poses")
+        return FrameTerms(tuple(a for a in self.allowances if a.enters in enter and a.name in self.carried))
 
     @cached_property
     def carried(self) -> frozenset[str]:
@@ -71,11 +81,10 @@ class LiveSession:
         """(n - p,) factors on the prior sds of all parameters but log k's coefficients; see `course_scale`."""
         p = self.layout.spline.count
         out = np.ones(self.layout.size - p)
-        for name in OF_COURSE:
-            where = self.columns.get(name)
+        for one in self.allowances:
+            where = self.columns.get(one.name)
             if where is not None:
-                count = where.stop - where.start
-                out[where.start - p : where.stop - p] = course_scale(name, count, largest, bend)
+                out[where.start - p : where.stop - p] = course_scale(one, largest, bend)
         return out
 
     @cached_property
@@ -84,7 +93,7 @@ class LiveSession:
         fine = self.layout.spline.finer
         if "patches" not in self.carried:
             return np.zeros((fine.count, 0))
-        return fine.nearest(lambda s: patch_functions(self.marker_s, self.length, self.tag_size, s))
+        return fine.nearest(lambda s: patch_functions(self.marker_s, self.length, self.course.tag_size, s))
 
 
 @dataclass(frozen=True)
@@ -148,57 +157,38 @@ class FrameInputs:
     rate: Array  # (B, 2) N/s
     gravity: Array  # (B, 2) m/s^2
     farther: Array  # (B,) m that the push lies beyond its grid's place
-    terms: Array  # (B, TERMS) of the allowances, see `CourseSoFar`
+    terms: Array  # (B, terms) of the allowances that go with the frames
     memory: Memory
 
 
-def session_layout(
+def session_of(
     spline: Spline,
     marker_s: Array,
     priors: Priors,
     *,
     length: float,
     mass: float,
-    allowances: frozenset[AllowanceName] = frozenset(),
+    allowances: frozenset[str] = frozenset(),
     thickness: float = math.nan,
     tag_size: float = math.nan,
-) -> Layout:
-    """The parameters of one beam under one camera; the force's error is a process and not among them.
+) -> LiveSession:
+    """One beam under one camera; the force's error is a process and not among the parameters.
 
     A prior that is None takes the usual tolerance; without `scale` the camera is calibrated, and without `clock` camera
     and force log share one clock. Allowances that are not wanted are frozen.
     """
-
-    def stated_or(stated: float | None, usual: float) -> float:
-        return usual if stated is None else stated
-
-    placement, mounted = stated_or(priors.placement, _PLACEMENT_SD), stated_or(priors.mounting, TURN_SD)
-    numbers = range(1, len(marker_s) + 1)
-    every = causal_allowances(marker_s, length, tag_size, thick=bool(np.isfinite(thickness)))
-    wanted: list[tuple[str, str, float | Array, tuple[str, ...]]] = [
-        ("stiffness", "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
-        ("curvature", "rad", stated_or(priors.curvature, CURVATURE_SD), ("q0 mean", "q0 slope", "q0 bow")),
-        ("mass", "1", priors.mass if mass > 0.0 else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
-        ("along", "m", placement, tuple(f"tag {i} along" for i in numbers)),
-        ("across", "m", placement, tuple(f"tag {i} across" for i in numbers)),
-        ("turn", "rad", mounted, tuple(f"tag {i} turn" for i in numbers)),
-        ("clamp", "rad", stated_or(priors.clamp, CLAMP_SD), ("clamp angle",)),
-        ("origin", "m", stated_or(priors.origin, _PLACEMENT_SD), ("origin x", "origin y")),
-        ("scale", "1", priors.scale or 0.0, ("camera scale",)),
-        ("clock", "s", priors.clock or 0.0, ("clock offset",)),
-        ("place", "m", stated_or(priors.place, PLACE_SD), ("push place",)),
-        ("direction", "rad", stated_or(priors.direction, DIRECTION_SD), ("force axes",)),
-        *((a.name, a.unit, a.prior_sd * (a.name in allowances), a.labels) for a in every),
-    ]
-    blocks, start = [], 0
-    for name, unit, sd, labels in wanted:
-        sds = np.full(len(labels), sd)
-        free = bool(np.all(sds > 0.0))
-        if name == "mass":
-            sds[1:] = priors.mass_spread
-        blocks.append(Block(name, -1, unit, sds, labels, start if free else -1))
-        start += len(labels) if free else 0
-    return Layout(spline, tuple(blocks), start, {(b.name, -1): b for b in blocks})
+    course = course_of_frame(marker_s, length, tag_size, thick=bool(np.isfinite(thickness)))
+    wanted: list[Allowance] = []
+    for one in STATED_ERRORS:
+        stated = getattr(priors, one.prior)
+        sd = one.usual if stated is None else stated
+        if one.name == "mass":
+            sd = np.append(sd if mass > 0.0 else 0.0, np.full(3, priors.mass_spread))
+        wanted.append(one.with_sd(sd, course.tags))
+    every = allowances_of(course, LIVE_ALLOWANCES)
+    wanted += [replace(a, prior_sd=a.prior_sd * (a.name in allowances)) for a in every]
+    layout = layout_of(spline, [(-1, a) for a in wanted])
+    return LiveSession(length, marker_s, mass, layout, course, every, thickness)
 
 
 @lru_cache(maxsize=_GRIDS)
@@ -233,7 +223,7 @@ def push_grid_at(session: LiveSession, push_s: float) -> PushGrid:
     parts = MASS_MODES.curvature(nodes)
     beyond = nodes < push_s
     last = np.arange(len(nodes)) == int(np.sum(beyond)) - 1
-    under_tags = patch_means(session.marker_s, session.length, session.tag_size, grid)
+    under_tags = patch_means(session.marker_s, session.length, session.course.tag_size, grid)
     return PushGrid(
         push_s=push_s,
         grid=grid,
@@ -278,11 +268,17 @@ def linearise(session: LiveSession, beam: PointBeam, inputs: FrameInputs, start:
     as given: it has derivatives with the shares alone.
     """
     layout, m, x, push_grid = session.layout, len(session.marker_s), beam.x, beam.push_grid
-    bases, straight = CourseBases(inputs.terms, m, session.carried), beam.problem.q0
+    own, straight = session.terms.with_terms(inputs.terms), beam.problem.q0
+
+    def allowed(enters: Entry) -> Array | float:
+        return prediction.allowed(own, enters, partial(layout.get, x))
+
     logged = (inputs.force + inputs.rate * layout.get(x, "clock")) @ beam.axes.T
     q0, by_shares = _rest_shift(session, x, inputs.memory, start, straight)
-    force = logged + bases.force @ layout.get(x, "posture")
-    problem, pushed, by_mass = _loaded(session, beam, force, inputs, q0)
+    force = logged + allowed("force")
+    place = layout.get(x, "place") + inputs.farther + allowed("place")
+    alpha0 = (layout.get(x, "clamp") + allowed("clamp")) * np.ones(len(force))
+    problem, pushed, by_mass = _loaded(session, beam, force, inputs, (place, q0, alpha0[:, None]))
     q, converged, factors = _shapes(beam, problem, start)
     solved = _solved(problem, q, converged)
     bent = BentBeam(
@@ -305,10 +301,12 @@ def linearise(session: LiveSession, beam: PointBeam, inputs: FrameInputs, start:
     response = response.reshape(len(q), m, 3, -1)
     tags.add_direct(response, columns)
     blocks, j = columns.split(tags.ride.carry(response)), np.zeros((len(q), m, 3, layout.size))
-    further = prediction.push_blocks(blocks["push"], logged, beam.axes, inputs.rate) | bases.blocks(blocks)
+    further = prediction.push_blocks(blocks["push"], logged, beam.axes, inputs.rate) | prediction.allowed_blocks(
+        own, blocks
+    )
     prediction.put_blocks(j, session.columns, blocks | further)
     prediction.put_tags(j, session.columns, tags.motion)
-    pose, a = tags.pose + bases.moved({name: layout.get(x, name) for name in bases.poses}), blocks["push"] @ beam.axes
+    pose, a = tags.pose + allowed("poses"), blocks["push"] @ beam.axes
     by_force, lags = both[:, 3 * m :].swapaxes(1, 2) @ beam.axes, inputs.memory.lags(q - straight)
     return LinearisedTags(converged, q, by_force, lags, pose, j, a)
 
@@ -422,20 +420,18 @@ def _balance(beam: PointBeam, problem: Problem, q: Array) -> tuple[Array, Array]
 
 
 def _loaded(
-    session: LiveSession, beam: PointBeam, force: Array, inputs: FrameInputs, q0: Array
+    session: LiveSession, beam: PointBeam, force: Array, inputs: FrameInputs, moved: tuple[Array, Array, Array]
 ) -> tuple[Problem, Array, Perturbation | None]:
     """The beam under forces (B, 2) [N]; (B, Q) share of the push beyond each node; what the parts of the mass do, None
-    where nothing weighs."""
-    layout, terms, x, push_grid = session.layout, inputs.terms, beam.x, beam.push_grid
-    place = layout.get(x, "place") + inputs.farther + terms[:, SLIDE.start] * layout.get(x, "slide")
+    where nothing weighs. `moved`: place of the push (B,) [m], curvature at rest, and angle of the clamp."""
+    push_grid, (place, q0, alpha0) = beam.push_grid, moved
     pushed, by_mass = push_grid.beyond + place[:, None] * push_grid.farther, None
     dead = pushed[..., None] * force[:, None]
     if session.mass > 0.0 and np.any(inputs.gravity):
-        mass = push_grid.mass_beyond[:, 0] + push_grid.mass_beyond @ layout.get(x, "mass")
+        mass = push_grid.mass_beyond[:, 0] + push_grid.mass_beyond @ session.layout.get(beam.x, "mass")
         dead += mass[:, None] * inputs.gravity[:, None]
         pull = inputs.gravity[:, None, :, None] * push_grid.mass_beyond[:, None, :]
         by_mass = Perturbation(pull, None, None, np.zeros(4)) if "mass" in session.carried else None
-    alpha0 = layout.get(x, "clamp") + terms[:, CLAMP] * layout.get(x, "clamp gives")
     return beam.problem.under(dead, q0, alpha0), pushed, by_mass
 
 

@@ -10,7 +10,7 @@ from onebend.beam.stiffness import Profile, UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.force_error import ForceError, force_error, ramp
 from onebend.learning.frames import push_places, usable_frames
-from onebend.learning.parameters import Priors, Spline, make_layout
+from onebend.learning.parameters import STATED_ERRORS, Priors, Spline, make_layout
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.learner import OnlineLearner
 from onebend.progress import one_blas_thread
@@ -86,13 +86,8 @@ def _known(stated: float, wanted: float | None) -> float | None:
 
 def _priors(o: Observations, settings: OnlineSettings) -> Priors:
     at = make_layout(Spline(settings.functions), [o], [0], settings.priors)
-    sd = {
-        name: float(at.index[name, 0].prior_sd[0])
-        for name in ("clamp", "origin", "scale", "clock", "place", "direction")
-    }
-    shared = {"curvature": "curvature", "placement": "along", "mounting": "turn"}
-    sd |= {kept: float(at.index[name, -1].prior_sd[0]) for kept, name in shared.items()}
-    return replace(settings.priors, **sd)
+    blocks = {one.prior: at.index[one.name, -1 if one.shared else 0] for one in STATED_ERRORS if one.name != "mass"}
+    return replace(settings.priors, **{prior: float(block.prior_sd[0]) for prior, block in blocks.items()})
 
 
 def _memory(error: ForceError, times: float) -> float:

@@ -44,6 +44,7 @@ NO_PUSH = "the beam has not moved yet"
 ENDED = "the process that reviews the push ended; what was known goes on, and the next review starts another"
 HALF = 0.015  # s: the force of a frame is the mean of the rows that are as near
 LONGEST_GAP = 0.1  # s, to the nearest row where none is
+CLOCK_KNOWN = 0.02  # s, one sd: clocks that are stated so well need no match by the push
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,7 @@ def review(
     clean = source.clean_force
     known = Reviewed(
         until=seen.until,
-        clock=source.clock if source.clock is not None and source.clock.found else None,
+        clock=known_clock(source.clock),
         remarks=source.remarks,
         moved=moved,
         rested=moved and clean is not None and len(clean.zero_time) > 1,
@@ -162,6 +163,11 @@ def review(
     return replace(known, reader=reader_of(seen.recording, observed), learner=learner)
 
 
+def known_clock(clock: ClockOffset | None) -> ClockOffset | None:
+    """The offset where it was found, or is stated so well that the push need not show it."""
+    return clock if clock is not None and (clock.found or clock.sd < CLOCK_KNOWN) else None
+
+
 def _not_yet(rec: Recording, observed: Observations) -> str:
     """Why k(s) cannot be learned frame by frame from what was observed so far; empty where it can."""
     if refused := not_live(rec):
@@ -173,7 +179,7 @@ def _not_yet(rec: Recording, observed: Observations) -> str:
         return say("live: no push in the log")
     if not len(source.clean_force.zero_time):
         return say("live: no rest")
-    if source.clock is not None and not source.clock.found:
+    if source.clock is not None and known_clock(source.clock) is None:
         return say("live: clocks", sd=source.clock.sd)
     return ""
 

@@ -233,13 +233,13 @@ def assemble(
         clean_force=clean,
         remarks=(*remarks, *implausible, *drop_remarks),
     )
-    loads = _LoadsAtFrames(time, gravity, force, push_s, loaded)
+    loads = LoadsAtFrames(time, gravity, force, push_s, loaded)
     force_sd = np.zeros(2) if clean is None else clean.noise_sd
-    return _observations(rec, source, in_frame, rest, loads, force_sd, use)
+    return observations_of(rec, source, in_frame, rest, loads, force_sd, use)
 
 
 @dataclass(frozen=True)
-class _LoadsAtFrames:
+class LoadsAtFrames:
     """The loads on the beam in every frame, on the log's clock."""
 
     time: Array  # (T,) s
@@ -249,12 +249,12 @@ class _LoadsAtFrames:
     loaded: BoolArray  # (T,)
 
 
-def _observations(
+def observations_of(
     rec: Recording,
     source: Source,
     markers: Markers,
     rest: RestShape,
-    loads: _LoadsAtFrames,
+    loads: LoadsAtFrames,
     force_sd: Array,
     use: BoolArray,
 ) -> Observations:

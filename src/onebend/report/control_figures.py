@@ -13,7 +13,7 @@ from onebend.beam.model import Beam
 from onebend.control.loop import Controller
 from onebend.control.loop_simulation import SETTLED, LoopTrial
 from onebend.control.path import FollowedPath
-from onebend.control.reach import SURE, PredictedError, Reach
+from onebend.control.reach import SURE, PredictedError, Reach, ReachInSetUp
 from onebend.control.reach_set import ReachableSet
 from onebend.control.shape import ShapeResult
 from onebend.learning.sensing.forces import TOUCH
@@ -28,7 +28,9 @@ TORN = 0.25  # of L: samples farther apart are on two sheets
 
 
 @styled
-def reaching(result: Reach, error: PredictedError | None = None, within: ReachableSet | None = None) -> Figure:
+def reaching(
+    result: Reach | ReachInSetUp, error: PredictedError | None = None, within: ReachableSet | None = None
+) -> Figure:
     """The beam on its way to the goal (Fig. 8), the force, and the uncertainty of the point."""
     figure, (axes,) = blank(4.2)
     if within is not None:
@@ -38,7 +40,7 @@ def reaching(result: Reach, error: PredictedError | None = None, within: Reachab
     return figure
 
 
-def draw_reach(axes: Axes, result: Reach, error: PredictedError | None) -> None:
+def draw_reach(axes: Axes, result: Reach | ReachInSetUp, error: PredictedError | None) -> None:
     s = np.linspace(0.0, 1.0, 121)
     shapes = result.shapes(s)
     chosen = np.unique(np.round(np.linspace(0, len(shapes) - 1, 6)).astype(int))
@@ -54,16 +56,16 @@ def draw_reach(axes: Axes, result: Reach, error: PredictedError | None) -> None:
     _reach_arrow(axes, result, MM * result.shapes(np.array([result.push_s]))[-1, 0])
     if error is not None:
         outline = MM * (error.mean + error.ellipse(SURE).outline())
-        axes.plot(*outline.T, color=GREEN, lw=1.6, zorder=8, label=f"{100 * SURE:.0f} % by the band on k(s)")
+        axes.plot(*outline.T, color=GREEN, lw=1.6, zorder=8, label=f"{100 * SURE:.0f} % of the places")
     plane(axes, f"{significant(float(np.hypot(*result.force)))} N at s = {result.push_s:.3g}: {_outcome(result)}")
 
 
-def _outcome(result: Reach) -> str:
+def _outcome(result: Reach | ReachInSetUp) -> str:
     where = f"the point s = {result.point_s:.3g}"
     return f"{where} is on its goal" if result.converged else f"{where} is {MM * result.error:.3g} mm from its goal"
 
 
-def _reach_arrow(axes: Axes, result: Reach, at: Array) -> None:
+def _reach_arrow(axes: Axes, result: Reach | ReachInSetUp, at: Array) -> None:
     size = float(np.hypot(*result.force))
     if size == 0.0:
         return

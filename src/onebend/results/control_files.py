@@ -11,10 +11,9 @@ import numpy as np
 from onebend.control.loop import Controller, Margins
 from onebend.control.loop_simulation import SETTLED, LoopTrial
 from onebend.control.path import FollowedPath, PathSpread
-from onebend.control.reach import SURE, PredictedError, Reach
+from onebend.control.reach import SURE, PredictedError, Reach, ReachInSetUp
 from onebend.control.shape import ShapeResult
 from onebend.control.trajectory_files import write_bag, write_samples, write_yaml
-from onebend.records import Array
 from onebend.results.tables import write_csv
 
 REACH_FORMAT = "onebend-reach-1"
@@ -22,9 +21,9 @@ PATH_COLUMNS = ("step", "force_x_N", "force_y_N", "moment_N_m", "point_x_m", "po
 
 
 def reach_summary(
-    model: str, result: Reach, error: PredictedError | None, force: Array, *, written_by: str
+    model: str, result: Reach | ReachInSetUp, error: PredictedError | None, *, written_by: str
 ) -> dict[str, Any]:
-    """`reach --json` and `summary.json`; SI and radians. `force` (2,) N, as the sensor of the set-up shows it."""
+    """`reach --json` and `summary.json`; SI and radians."""
     nearest = result.nearest
     return {
         "format": REACH_FORMAT,
@@ -37,9 +36,9 @@ def reach_summary(
         "goal_angle_rad": float(result.goal[2]) if len(result.goal) == 3 else None,
         "converged": result.converged,
         "reason": result.reason,
-        "force_N": force.tolist(),
-        "force_size_N": float(np.hypot(*force)),
-        "force_on_beam_N": result.force.tolist(),
+        "force_N": result.force.tolist(),
+        "force_size_N": float(np.hypot(*result.force)),
+        "force_on_beam_N": result.on_beam.tolist(),
         "moment_N_m": result.moment,
         "reached_m": result.reached[:2].tolist(),
         "reached_angle_rad": float(result.reached[2]),
@@ -62,7 +61,7 @@ def reach_summary(
     }  # fmt: skip
 
 
-def write_reach(folder: Path, result: Reach) -> None:
+def write_reach(folder: Path, result: Reach | ReachInSetUp) -> None:
     """`path.csv`: load and point from rest, on one branch."""
     pairs = zip(result.path, result.path_points, strict=True)
     rows = ([step, *(f"{value:.9g}" for value in (*load, *point))] for step, (load, point) in enumerate(pairs))

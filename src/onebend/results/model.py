@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from onebend.beam.model import Beam
 from onebend.beam.section import ModulusBand, modulus_band, one_modulus, section_as_dict, section_from_dict
@@ -97,6 +98,17 @@ class StoredModel:
     section: StatedSection | None = None  # if stated
     changed: str = ""  # how the file was changed; its k(s) is then in doubt
     swapped: str = ""  # how it differs from the folder's summary
+
+    def bending(
+        self, setup: SetUp, push_s: float, points: ArrayLike, *, gravity: tuple[float, float] = (0.0, 0.0)
+    ) -> tuple[StoredModel, SetUp]:
+        """With the ideal beam that goes where this one goes in the `setup` (`SetUp.ideal`), above all at `points`, if
+        it is pushed at `push_s`; and the set-up with that push. Raises `ResultsError` without a band."""
+        if self.uncertain is None:
+            raise ResultsError("a model without a band on k(s) has no set-up to be bent in")
+        now = setup.renewed(push_s=push_s, length=self.beam.length)
+        beam, known = now.ideal(self.beam, self.uncertain, gravity=gravity, points=np.atleast_1d(points))
+        return replace(self, beam=beam, uncertain=known), now
 
 
 def save_model(

@@ -121,7 +121,7 @@ def test_pictures_show_force_goal_and_ellipse() -> None:
     legend = figure.axes[0].get_legend()
     assert legend is not None
     labels = {text.get_text() for text in legend.get_texts()}
-    assert {"goal", "force", "at rest", "under the force", "95 % by the band on k(s)"} <= labels
+    assert {"goal", "force", "at rest", "under the force", "95 % of the places"} <= labels
     assert "on its goal" in figure.axes[0].get_title(loc="left")
 
 

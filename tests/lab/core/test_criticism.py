@@ -15,7 +15,6 @@ from onebend.beam.loads import push
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import LogSpline
 from onebend.errors import LearningError
-from onebend.lab.rod import stretched
 from onebend.learning.criticism import (
     AXES,
     UNITS,
@@ -36,6 +35,7 @@ from onebend.learning.verdict import cause, fit_notices, what_is_tested
 from onebend.records import Array, Observations
 from onebend.report.sentences import remedy, worded, words
 from onebend.text_files import plain
+from tests.lab.core.stretching import stretched
 from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
 
 NOISE = (2e-5, 1e-3)
@@ -192,6 +192,13 @@ def test_a_beam_that_stretches_is_told_with_its_stiffness() -> None:
     best = fit([o], 0.02, settings=SMALL).criticism.causes[0]
     assert best.score.suspect.name == "stretch"
     assert 1.0 / best.score.value[0] == pytest.approx(axial, rel=0.3)
+
+
+def test_a_beam_that_hardly_stretches_is_one_that_does_not() -> None:
+    start = equilibrium(SOFT, push(FORCES))
+    xy, angle = stretched(SOFT, FORCES, 1.0, MARKERS, 1e9, start)
+    np.testing.assert_allclose(xy, start.xy(MARKERS), atol=2e-8)
+    np.testing.assert_allclose(angle, start.angle(MARKERS), atol=1e-6)
 
 
 def suspects() -> list[Suspect]:

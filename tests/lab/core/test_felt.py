@@ -134,7 +134,7 @@ def test_a_hidden_point_hides_its_tag_and_two_others_are_needed() -> None:
         tags = (0.5, 1.0)
 
     with pytest.raises(ControlError, match="fewer than two"):
-        felt_by("shape", reaching(), instruments=OneTag(), hidden=True)  # type: ignore[arg-type]
+        felt_by("shape", reaching(), setup=OneTag(), hidden=True)  # type: ignore[arg-type]
     assert felt_by("nothing", reaching()) is None
 
 

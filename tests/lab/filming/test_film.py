@@ -130,7 +130,6 @@ def test_the_same_seed_makes_the_same_files_and_another_one_does_not(tmp_path: P
         (replace(FILMING, scene=Scene(exposure=0.1)), "Shorten it"),
         (replace(FILMING, lost=0.7), "share of its frames"),
         (replace(FILMING, bench=replace(BENCH, tags=())), "at least one tag"),
-        (replace(FILMING, bench=replace(BENCH, axial_stiffness=5.0)), "axial_stiffness is not filmed"),
         (replace(FILMING, bench=replace(BENCH, push=replace(PUSH, peak=30.0))), "smaller force"),
     ],
 )

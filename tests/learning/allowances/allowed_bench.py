@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from onebend.learning.allowances import EVERY_ALLOWANCE
+from onebend.beam.stiffness import Uniform
+from onebend.learning.allowances import EVERY_ALLOWANCE, Film, PushCourse, course_of
 from onebend.learning.fit_data import FitData, fit_data
 from onebend.learning.parameters import Layout, Priors, Spline, make_layout
 from onebend.records import Array, Observations, View
@@ -33,6 +34,19 @@ def filmed(count: int = 20) -> Observations:
     made = replace(made, marker_s=TAGS, time=0.3 * np.arange(count) + 0.05 * np.sin(np.arange(count)))
     by_camera = 1e-5 * np.random.default_rng(1).standard_normal((count, len(TAGS), 3, 2))
     return replace(with_source(with_stated(made, rest="unknown"), view=CAMERA), by_camera=by_camera)
+
+
+def course(count: int = 20, **changed: object) -> PushCourse:
+    """`filmed`, with changed fields, and the beam at rest behind."""
+    made = replace(filmed(count), **changed)  # type: ignore[arg-type]
+    return fit_course(made)
+
+
+def fit_course(made: Observations) -> PushCourse:
+    """As the fit sees it, all frames and the beam at rest."""
+    one = fit_data(made, 0, np.ones(len(made.time), dtype=bool), Spline(7))
+    film = Film(made, one.frames, one.measured, one.problem, np.zeros((1, 2)), Uniform(0.0), one.across)
+    return course_of(made, one.frames, film)
 
 
 def with_everything(*, share: float) -> tuple[FitData, Layout, Array]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from onebend.beam.grid import make_grid
+from onebend.errors import LearningError
 from onebend.learning.allowances import (
     EVERY_ALLOWANCE,
     KNOWN_SD,
@@ -15,9 +16,9 @@ from onebend.learning.allowances import (
     POSTURE_SD,
     UNKNOWN_SD,
     USUAL_THICKNESS,
-    AllowanceName,
-    allowances_of,
-    course,
+    Allowance,
+    PushCourse,
+    angle_discrepancy,
     discrepancy,
     giving,
     posture_bias,
@@ -25,17 +26,29 @@ from onebend.learning.allowances import (
     section_at,
     sliding,
 )
+from onebend.learning.fit_data import fit_data
+from onebend.learning.parameters import Spline
 from onebend.learning.prediction import State, predict
-from onebend.records import Array
-from tests.learning.allowances.allowed_bench import PUSH_S, TAGS, filmed, with_everything
+from tests.learning.allowances.allowed_bench import PUSH_S, TAGS, course, filmed, with_everything
 from tests.learning.bench import forces
 
 MADE = filmed()
-RUN = course(MADE, np.ones(20, dtype=bool))
+RUN = course()
+
+
+def of(make: Callable[[PushCourse], Allowance | None]) -> Callable[[PushCourse], Allowance]:
+    """What cannot be missing here."""
+
+    def made(course: PushCourse) -> Allowance:
+        one = make(course)
+        assert one is not None
+        return one
+
+    return made
 
 
 def test_the_contact_slides_by_the_turn_of_the_beam_there() -> None:
-    basis = sliding(TAGS, RUN, np.full(21, PUSH_S)).basis
+    basis = of(sliding)(RUN).basis
     here = (PUSH_S - TAGS[1]) / (TAGS[2] - TAGS[1])
     turn = MADE.angle - MADE.rest_angle
     np.testing.assert_allclose(basis[:20, 0], (1.0 - here) * turn[:, 1] + here * turn[:, 2], atol=1e-12)
@@ -43,30 +56,29 @@ def test_the_contact_slides_by_the_turn_of_the_beam_there() -> None:
 
 
 def test_below_the_first_tag_it_slides_by_a_share_of_its_turn() -> None:
-    basis = sliding(TAGS, RUN, np.full(21, 0.5 * TAGS[0])).basis
+    basis = of(sliding)(replace(RUN, push_s=np.full(21, 0.5 * TAGS[0]))).basis
     np.testing.assert_allclose(basis[:20, 0], 0.5 * (MADE.angle - MADE.rest_angle)[:, 0], atol=1e-12)
 
 
 def test_the_clamp_turns_with_the_tag_next_to_it() -> None:
-    one = giving(RUN, 21)
+    one = giving(RUN)
     np.testing.assert_allclose(one.basis[:20, 0], (MADE.angle - MADE.rest_angle)[:, 0], atol=1e-12)
     assert one.basis[20, 0] == 0.0
 
 
 def test_a_posture_bias_is_quadratic_in_the_displacement_and_nothing_at_rest() -> None:
-    force = np.vstack([forces(20), np.zeros(2)])
-    one = posture_bias(RUN, force)
+    one, force = of(posture_bias)(RUN), forces(20)
     values = np.array([1.0, -2.0, 3.0, 0.5])  # x, x2, y, y2 in the order of the labels
     assert one.labels == ("posture bias x1", "posture bias x2", "posture bias y1", "posture bias y2")
     bend = RUN.bend
-    np.testing.assert_allclose((one.basis @ values)[:20, 0], bend - 2.0 * bend**2, atol=1e-12)
-    np.testing.assert_allclose((one.basis @ values)[:20, 1], 3.0 * bend + 0.5 * bend**2, atol=1e-12)
+    np.testing.assert_allclose((one.basis @ values)[:, 0], bend - 2.0 * bend**2, atol=1e-12)
+    np.testing.assert_allclose((one.basis @ values)[:, 1], 3.0 * bend + 0.5 * bend**2, atol=1e-12)
     assert np.all(one.basis[20] == 0.0)
     np.testing.assert_allclose(one.prior_sd, POSTURE_SD * np.max(np.linalg.norm(force, axis=1)))
 
 
 def test_each_discrepancy_moves_one_coordinate_of_one_tag_smoothly() -> None:
-    places, angles = discrepancy(RUN, ("tag 1", "tag 2", "tag 3"), MADE.length, 21)
+    places, angles = of(discrepancy)(RUN), of(angle_discrepancy)(RUN)
     assert len(places.labels) == places.basis.shape[-1] == 2 * 3 * 5
     assert len(angles.labels) == angles.basis.shape[-1] == 3 * 5
     for one, axes in ((places, "xy"), (angles, "angle")):
@@ -76,12 +88,12 @@ def test_each_discrepancy_moves_one_coordinate_of_one_tag_smoothly() -> None:
             moved = np.flatnonzero(np.any(basis != 0.0, axis=0).ravel())
             assert moved.tolist() == [3 * (int(tag) - 1) + axis], label
             assert np.all(basis[20] == 0.0)
-    np.testing.assert_allclose(places.basis[:20, 1, 0, places.labels.index("discrepancy tag 2 x1")], RUN.bend**2)
+    np.testing.assert_allclose(places.basis[:20, 1, 0, places.labels.index("discrepancy tag 2 x1")], RUN.bend[:20] ** 2)
 
 
 def test_a_section_is_as_thick_as_stated_or_as_usual() -> None:
-    assert section(known=True).prior_sd[0] == KNOWN_SD
-    assert section(known=False).prior_sd[0] == UNKNOWN_SD
+    assert section(replace(RUN, thick=True)).prior_sd[0] == KNOWN_SD
+    assert section(replace(RUN, thick=False)).prior_sd[0] == UNKNOWN_SD
     one, layout, x = with_everything(share=0.0)
     change = float(x[layout.index["section", -1].start])
     made, _ = State(one, layout, x).section
@@ -121,30 +133,32 @@ def test_allowances_of_one_kind_add_up() -> None:
     np.testing.assert_allclose(State(one, layout, x).allowed("poses"), np.sum(own, axis=0), atol=1e-15)
 
 
-WEIGHING = {"inertia", "gravity direction"}  # which need the nodes: see `unknown_mass` and `gravity_direction`
+WEIGHING = {"gravity direction"}  # nothing weighs here
 
 
-def chosen(made: Array, wanted: frozenset[AllowanceName] = EVERY_ALLOWANCE, **changed: object) -> set[str]:
-    o = replace(MADE, **changed)  # type: ignore[arg-type]
-    one, grid = np.ones(20, dtype=bool), make_grid(order=5)
-    measured = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
-    return {a.name for a in allowances_of(o, one, measured, np.full(20, PUSH_S), made, grid, wanted)}
+def chosen(wanted: frozenset[str] = EVERY_ALLOWANCE, **changed: object) -> set[str]:
+    made = replace(MADE, **changed)  # type: ignore[arg-type]
+    one = fit_data(made, 0, np.ones(20, dtype=bool), Spline(7), wanted)
+    return {a.name for a in one.allowances}
 
 
 def test_every_name_is_an_allowance_of_a_film_of_a_push() -> None:
-    assert chosen(forces(20)) == OF_ONE - WEIGHING - {"outline"}
+    assert chosen() == OF_ONE - WEIGHING - {"outline"}
 
 
 def test_only_what_is_wanted_is_allowed_for() -> None:
-    assert chosen(forces(20), frozenset({"length", "slide"})) == {"length", "slide"}
-    assert chosen(forces(20), frozenset()) == set()
+    assert chosen(frozenset({"length", "slide"})) == {"length", "slide"}
+    assert chosen(frozenset()) == set()
+    with pytest.raises(LearningError, match="no allowance 'lenght', only: angle discrepancy"):
+        chosen(frozenset({"lenght"}))
 
 
 def test_without_a_push_nothing_slides_and_static_poses_have_none() -> None:
-    assert OF_ONE - chosen(np.zeros((20, 2))) == {*WEIGHING, "outline", "slide", "posture"}
-    assert chosen(forces(20), static=True) == set()
+    still = np.zeros((20, 2))
+    assert OF_ONE - chosen(force=still) == {*WEIGHING, "outline", "slide", "rub", "posture"}
+    assert chosen(static=True) == set()
 
 
 def test_tracks_have_no_allowances_of_a_camera() -> None:
     tracked = replace(MADE.source, view=None)
-    assert OF_ONE - chosen(forces(20), source=tracked) == {*WEIGHING, "heights", "outline", "rolling shutter"}
+    assert OF_ONE - chosen(source=tracked) == {*WEIGHING, "heights", "outline", "rolling shutter"}

@@ -12,7 +12,9 @@ from onebend.beam.model import Beam
 from onebend.beam.problem import make_problem
 from onebend.beam.stiffness import Uniform
 from onebend.learning.allowances import inertial_force, tag_accelerations, unknown_mass
+from onebend.learning.frames import at_frames
 from onebend.records import Observations, PointMass
+from tests.learning.allowances.allowed_bench import fit_course
 from tests.learning.bench import SOFT, observed
 from tests.made_up import with_stated
 
@@ -77,13 +79,13 @@ def test_the_force_beyond_a_place_is_that_of_the_mass_beyond_it(last: float) -> 
 
 
 def test_a_mass_that_nobody_states_is_an_unknown() -> None:
-    stated, count = falling(), FRAMES + 1
-    frames = np.ones(FRAMES, dtype=bool)
-    problem = make_problem(Beam(stated.length, Uniform(1.0)), push(np.zeros((count, 2)), np.ones(count)))
-    assert unknown_mass(stated, frames, problem, count) is None
-    one = unknown_mass(with_stated(stated, mass=np.nan), frames, problem, count)
+    stated, frames = falling(), np.ones(FRAMES, dtype=bool)
+    assert unknown_mass(fit_course(stated)) is None
+    unstated = fit_course(with_stated(stated, mass=np.nan))
+    one = unknown_mass(unstated)
     assert one is not None
-    known = inertial_force(stated, frames, problem, Uniform(MASS / stated.length), count)
+    assert unstated.film is not None
+    known = inertial_force(stated, frames, unstated.film.problem, Uniform(MASS / stated.length), FRAMES + 1)
     np.testing.assert_allclose(MASS * one.basis[..., 0], known, atol=1e-15)
-    short = with_stated(replace(stated, time=stated.time[:13], xy=stated.xy[:13]), mass=np.nan)
-    assert unknown_mass(short, frames[:13], problem, count) is None  # nothing tells the accelerations
+    few = np.arange(FRAMES) < 13
+    assert unknown_mass(fit_course(with_stated(at_frames(stated, few), mass=np.nan))) is None  # no accelerations

@@ -12,7 +12,7 @@ from onebend.learning.allowances import PATCH_SD, USUAL_SIZE, WIDTHS, patch_func
 from onebend.learning.fit_data import fit_data
 from onebend.learning.linear import FitProblem, Hyperparameters, RecordingNoise, log_k_map
 from onebend.learning.parameters import RHO, TAU, Priors, Spline, make_layout
-from tests.learning.allowances.allowed_bench import TAGS, filmed
+from tests.learning.allowances.allowed_bench import TAGS, course, filmed
 from tests.made_up import with_stated
 
 S = np.linspace(0.0, 1.0, 2001)
@@ -34,10 +34,11 @@ def test_they_are_one_under_the_tags_and_nothing_between(size: float) -> None:
 
 
 def test_a_patch_reaches_as_far_as_its_widths_are_likely() -> None:
-    size, length = 0.01, 0.15
+    made = replace(course(), marker_s=np.array([0.5]), on_body=np.array([True]), tags=("tag 1",), tag_size=0.01)
+    size, length, one = made.tag_size, made.length, patches(made)
+    assert one is not None
     basis = patch_functions(np.array([0.5]), length, size, 0.5 + 0.5 * size / length * np.array([0.5, 1.15, 1.43, 2.2]))
-    sd = patches(np.array([0.5]), length, size, None).prior_sd
-    found = np.sum((basis * sd) ** 2, axis=1) / PATCH_SD**2
+    found = np.sum((basis * one.prior_sd) ** 2, axis=1) / PATCH_SD**2
     np.testing.assert_allclose(found, [1.0, 0.75, 0.25, 0.0], atol=0.12)
 
 

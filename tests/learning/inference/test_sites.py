@@ -14,7 +14,7 @@ from onebend.records import Array
 
 
 def block(within: tuple[float, float] = ANYTHING, *, sparse: bool = False, sd: float = 0.3) -> Block:
-    return Block("one", -1, "1", np.array([sd]), ("one",), 0, within, sparse)
+    return Block("one", "bench", "1", ("one",), np.array([sd]), within=within, sparse=sparse, start=0)
 
 
 def through(site: tuple[Array, Array], measured: float, noise: float) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from onebend.beam.model import Beam
+from onebend.beam.setup import SetUp
 from onebend.beam.stiffness import LogSpline, Scaled, UncertainStiffness
 from onebend.learning.allowances import SLIDE_SD
 from onebend.learning.prediction import few_frames, variances
@@ -76,6 +77,40 @@ def test_a_validation_says_how_far_off_it_is_likely_to_be_where_the_band_is_know
     exact = replace(KNOWN, covariance=np.zeros((6, 6)))
     surely = replace(made, static=True)  # a load hangs where it is said to
     assert validate(BEAM, surely, stiffness=exact).likely_rms == pytest.approx(found.sensor_rms)
+
+
+def in_setup(**parts: tuple[float, float]) -> SetUp:
+    """Parts of one number each with their means and sds, of a push at `AT`."""
+    mean, sd = np.array(list(parts.values())).T
+    sizes = {name.replace("_", " "): 1 for name in parts}
+    force, places = forces(COUNT)[-1].tolist(), tuple(seen().marker_s.tolist())
+    slope = np.zeros((len(mean), len(MEAN)))
+    return SetUp(AT, (force[0], force[1]), 0.05, places, 1e-9, sizes, mean, slope, np.diag(sd**2), np.maximum(sd, 1e-9))
+
+
+def test_another_push_is_validated_in_the_set_up_that_was_learned() -> None:
+    turned, longer = 0.02, 0.01
+    real = replace(BEAM, length=BEAM.length * np.exp(longer), clamp_angle=turned)
+    made = replace(observed(real, forces(COUNT), at_s=AT), length=BEAM.length)
+    made = replace(made, stated=replace(made.stated, place_sd=1e-9))
+    sure = replace(KNOWN, covariance=1e-12 * np.eye(6))
+    setup = in_setup(length=(longer, 1e-6), clamp=(turned, 1e-6), place=(0.003, 1e-6))
+    here, alone = (validate(BEAM, made, stiffness=sure, setup=one) for one in (setup, None))
+    assert np.max(here.rms) < 2e-5 < 0.1 * np.max(alone.rms)
+    wide = in_setup(length=(longer, 1e-6), clamp=(turned, 1e-6), place=(0.003, 1e-6), direction=(0.0, 0.1))
+    other = replace(made, stated=replace(made.stated, place_sd=PLACE_SD))
+    sds = [validate(BEAM, other, stiffness=KNOWN, setup=one).likely_rms[-1] for one in (setup, wide)]
+    assert sds[1] > sds[0] > here.likely_rms[-1]
+
+
+def test_what_is_likely_in_a_set_up_is_the_spread_of_pushes_anew() -> None:
+    """By a contact elsewhere alone: against the beam pushed there."""
+    made = replace(seen(), stated=replace(seen().stated, place_sd=PLACE_SD), force_sd=np.zeros(2))
+    setup = in_setup(place=(0.0, 1e-6))
+    sure = replace(KNOWN, covariance=1e-12 * np.eye(6))
+    found = validate(BEAM, made, stiffness=sure, setup=setup)
+    away = (tags(BEAM, made.force, AT + PLACE_SD / 0.15) - tags(BEAM, made.force, AT - PLACE_SD / 0.15)) / 2.0
+    assert found.likely_rms == pytest.approx(np.sqrt(mean_square(away) + 2e-10), rel=0.2)  # of 60 draws
 
 
 def test_of_poses_the_loads_are_where_they_are_said_to_be() -> None:

@@ -13,10 +13,10 @@ from matplotlib.text import Text
 from rich.console import Console
 
 from onebend.beam.model import Beam
+from onebend.beam.setup import SetUp
 from onebend.beam.stiffness import Table, UncertainStiffness
 from onebend.cli.screens import show_sensed
 from onebend.errors import LearningError
-from onebend.learning.instruments import Instruments
 from onebend.learning.sensing.model import shared_prior
 from onebend.learning.sensing.sense import SenseSettings, sense
 from onebend.records import Array, Observations
@@ -27,7 +27,6 @@ from onebend.report.style import png_of
 from onebend.results.sensing import sense_summary, write_sensed
 from onebend.text_files import to_json
 from tests.learning.bench import SOFT, forces, observed
-from tests.learning.design.test_identifiability import bench
 
 WIDE = SenseSettings(force_prior=1e5)  # N: it says nothing
 SOUGHT = SenseSettings(place="unknown")
@@ -134,14 +133,15 @@ def test_a_clamp_that_slipped_after_the_rest_is_noticed() -> None:
 
 def test_learned_tags_are_taken_over_unless_they_were_put_on_anew() -> None:
     stiffness = UncertainStiffness(np.array([0.0, 0.0, 1.0, 1.0]), np.full(2, np.log(0.02)), 1e-4 * np.eye(2), degree=1)
-    beam, tags = Beam(0.15, stiffness.profile), ("along", "across", "turn")
-    mean = np.array([1e-3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.02])
-    known = bench(shared=tags, shared_slope=np.zeros((9, 2)), shared_covariance=1e-10 * np.eye(9), shared_mean=mean)
-    known = Instruments.from_dict(known.as_dict())
-    o = observed(beam, few(), noise=(3e-5, 1e-3))
+    beam, sizes = Beam(0.15, stiffness.profile), {"length": 1, "along": 3, "across": 3, "turn": 3, "clamp": 1}
+    o, mean = observed(beam, few(), noise=(3e-5, 1e-3)), np.array([0.1, 1e-3, *np.zeros(7), 0.02, 0.004])
+    slope, covariance = np.zeros((11, 2)), 1e-10 * np.eye(11)
+    places = tuple(o.marker_s.tolist())
+    known = SetUp(1.0, (0.0, 1.0), 0.05, places, 0.01, sizes, mean, slope, covariance, np.ones(11))
     prior = shared_prior(o, stiffness, known, tags_as_learned=True, place_sd=0.0)
-    np.testing.assert_allclose(prior.mean[prior.parts["along"]], mean[:3])
-    np.testing.assert_allclose(prior.mean[prior.parts["turn"]], mean[6:])
+    np.testing.assert_allclose(prior.mean[prior.parts["along"]], mean[1:4])
+    np.testing.assert_allclose(prior.mean[prior.parts["turn"]], mean[7:10])
+    np.testing.assert_allclose(prior.mean[prior.parts["clamp"]], mean[10:])
     np.testing.assert_allclose(np.linalg.norm(prior.root[prior.parts["along"]], axis=1), 1e-5, rtol=1e-6)
     anew = shared_prior(o, stiffness, known, tags_as_learned=False, place_sd=0.0)
     assert not anew.mean.any()

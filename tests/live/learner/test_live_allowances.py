@@ -7,31 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.beam.grid import make_grid
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Uniform
 from onebend.errors import LearningError
-from onebend.learning.allowances import KNOWN_SD, OF_ONE, allowances_of, course, lags, reached_part, sliding
+from onebend.learning.allowances import EFFECTS, KNOWN_SD, LIVE_ALLOWANCES, OF_ONE, allowances_of, lags, reached_part
 from onebend.learning.fit_data import fit_data
 from onebend.learning.parameters import Priors, Spline, make_layout
 from onebend.learning.posterior import fit
 from onebend.learning.prediction import predict
 from onebend.live.hyperparameters import OnlineSettings
-from onebend.live.key_frames import (
-    CAUSAL_ALLOWANCES,
-    CLAMP,
-    POSTURE,
-    SLIDE,
-    SMOOTH,
-    CourseSoFar,
-    causal_allowances,
-    course_scale,
-)
+from onebend.live.key_frames import CourseSoFar, FrameTerms, course_of_frame, course_scale
 from onebend.live.learner import OnlineLearner
 from onebend.live.model import push_grid_at
 from onebend.live.replayed import replay, settings_for
 from onebend.records import Array, Observations
-from tests.learning.allowances.allowed_bench import PUSH_S, TAGS, filmed
+from tests.learning.allowances.allowed_bench import PUSH_S, TAGS, course, filmed
 from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
 from tests.live.streamed_recording import IDEAL_LIVE, NOISE, S
 from tests.made_up import with_stated
@@ -41,45 +31,55 @@ THICK, SHARES = 3.0, (0.1, 0.0, 0.0)  # of the section, over that of the usual t
 FEW = OnlineSettings(functions=12)
 
 
+ONE = course_of_frame(TAGS, 0.15, 0.01, thick=False)
+OF_FRAMES = FrameTerms(
+    tuple(a for a in allowances_of(ONE, LIVE_ALLOWANCES) if a.enters in ("force", "place", "clamp", "poses"))
+)
+
+
 def test_the_course_so_far_is_that_of_the_recording() -> None:
     """On the way out, where no one can tell that it is not all; displacements are over the length."""
-    made = filmed()
-    run, seen, so_far = course(made, np.ones(20, dtype=bool)), np.ones(3, dtype=bool), CourseSoFar(TAGS)
-    largest = 0.03 / made.length
-    so_far.terms(made.rest_angle, seen, 0.0, PUSH_S, back=False, loaded=False)
+    made, seen, so_far = filmed(), np.ones(3, dtype=bool), CourseSoFar(ONE, OF_FRAMES)
+    run, largest = course(), 0.2
+    so_far.rest(made.rest_angle, seen)
     terms = [
         so_far.terms(
-            made.angle[t] + 2.0 * np.pi, seen, largest * run.bend[t], PUSH_S, back=bool(run.back[t]), loaded=True
+            made.angle[t] + 2.0 * np.pi,
+            seen,
+            made.force[t],
+            PUSH_S,
+            bend=largest * float(run.bend[t]),
+            back=bool(run.back[t]),
         )
         for t in range(20)
     ]
-    rows = np.array(terms)
-    np.testing.assert_allclose(rows[:, SLIDE], sliding(TAGS, run, np.full(20, PUSH_S)).basis, atol=1e-12)
-    np.testing.assert_allclose(rows[:, CLAMP], run.turn[:, :1], atol=1e-12)
-    bend = largest * run.bend
-    np.testing.assert_allclose(rows[:, POSTURE], np.stack([bend, bend**2], axis=1), atol=1e-12)
-    np.testing.assert_allclose(rows[:, SMOOTH], np.stack([bend, bend * (run.back - 0.5)], axis=1), atol=1e-12)
+    whole = replace(run, bend=largest * run.bend, film=None)
+    for one in OF_FRAMES.with_terms(np.array(terms)):
+        expected = EFFECTS[one.name].allowance(whole)
+        assert expected is not None
+        np.testing.assert_allclose(one.basis, expected.basis[:20], atol=1e-12, err_msg=one.name)
 
 
 def test_a_tag_that_is_not_seen_keeps_its_turn() -> None:
-    so_far, both = CourseSoFar(np.array([0.5, 1.0])), np.array([True, True])
-    so_far.terms(np.zeros(2), both, 0.0, 1.0, back=False, loaded=False)
-    so_far.terms(np.array([0.1, 0.4]), both, 0.1, 1.0, back=False, loaded=True)
-    hidden = so_far.terms(np.array([0.2, 0.0]), np.array([True, False]), 0.1, 1.0, back=False, loaded=True)
-    assert (hidden[SLIDE.start], hidden[CLAMP.start]) == pytest.approx((0.4, 0.2))
+    both, pair = np.array([True, True]), course_of_frame(np.array([0.5, 1.0]), 0.15, 0.01, thick=False)
+    so_far = CourseSoFar(pair, FrameTerms(allowances_of(pair, frozenset({"slide", "clamp gives"}))))
+
+    def turns(angle: list[float], visible: list[bool]) -> list[float]:
+        return list(so_far.terms(np.array(angle), np.array(visible), np.ones(2), 1.0, bend=0.1, back=False))
+
+    so_far.rest(np.zeros(2), both)
+    assert turns([0.1, 0.4], [True, True]) == pytest.approx([0.1, 0.4])
+    assert turns([0.2, 0.0], [True, False]) == pytest.approx([0.2, 0.4])
+    assert so_far.rest(np.zeros(2), both).tolist() == [0.0, 0.0]
 
 
 def test_priors_are_those_of_the_fit_and_follow_the_largest_force_and_displacement() -> None:
     made = with_stated(filmed(), tag_size=0.01)
-    force, frames = made.force, np.ones(20, dtype=bool)
-    measured = np.concatenate([made.xy, made.angle[..., None]], axis=-1)
-    fits = {
-        a.name: a
-        for a in allowances_of(made, frames, measured, made.push_s, force, make_grid(order=2), CAUSAL_ALLOWANCES)
-    }
-    largest, bend = float(np.max(np.linalg.norm(force, axis=1))), 0.3
-    for one in causal_allowances(TAGS, made.length, 0.01, thick=False):
-        scale = course_scale(one.name, one.count, largest, bend)
+    seen = fit_data(made, 0, np.ones(20, dtype=bool), SPLINE, LIVE_ALLOWANCES)
+    fits = {a.name: a for a in seen.allowances}
+    largest, bend = float(np.max(np.linalg.norm(made.force, axis=1))), 0.3
+    for one in allowances_of(ONE, LIVE_ALLOWANCES):
+        scale = course_scale(one, largest, bend)
         if "discrepancy" in one.name:  # of functions that are less, and worth as much
             of_tag = one.prior_sd[:2] * scale[:2] * np.array([bend, 0.5 * bend])
             whole = fits[one.name].prior_sd[:5] * np.array([1.0, 1.0, 0.5, 0.5, 1.0])
@@ -160,7 +160,7 @@ def test_a_fits_stiffness_has_what_is_under_the_tags_in_it() -> None:
 
 
 def test_the_band_holds_what_stiffens_the_beam_under_the_tags() -> None:
-    without = OnlineSettings(allowances=CAUSAL_ALLOWANCES - {"patches"})
+    without = OnlineSettings(allowances=LIVE_ALLOWANCES - {"patches"})
     both = [OnlineLearner(0.15, MARKERS, 0.03, settings=one).stiffness for one in (OnlineSettings(), without)]
     more = np.subtract(*(one.log_at(np.array([MARKERS[1], 0.5]))[1] ** 2 for one in both))
     np.testing.assert_allclose(more, [0.4**2, 0.0], atol=0.02)

@@ -13,7 +13,7 @@ from onebend.learning.fit_data import at_rest
 from onebend.learning.parameters import Block, Priors, Spline, clamp_sd, make_layout
 from onebend.learning.posterior import Nuisance, Posterior, fit
 from onebend.learning.verdict import fit_notices
-from onebend.live.model import session_layout
+from onebend.live.model import session_of
 from onebend.live.replayed import replay, settings_for
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.records import CLAMP_SD, CURVATURE_SD, SCALE_SD, ClockOffset, Observations, View
@@ -134,7 +134,7 @@ def test_the_live_learner_has_what_is_stated() -> None:
     for name in NAMES:
         held, free = (settings_for(stated(name, sd)) for sd in (0.0, 0.3))
         for settings, wide in ((held, False), (free, True)):
-            at = session_layout(SPLINE, MARKERS, settings.priors, length=0.15, mass=0.0)
+            at = session_of(SPLINE, MARKERS, settings.priors, length=0.15, mass=0.0).layout
             assert (at.index[name, -1].start >= 0) == wide
             own = block(stated(name, 0.3 if wide else 0.0), name).prior_sd[0]
             assert at.index[name, -1].prior_sd[0] == own

@@ -10,23 +10,21 @@ from scipy.linalg import block_diag
 
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import LogSpline
+from onebend.learning.allowances import LIVE_ALLOWANCES
 from onebend.learning.parameters import Layout, Priors, Spline, clamp_sd
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.key_frames import (
-    CAUSAL_ALLOWANCES,
-    TERMS,
     KeyFrames,
     empty,
 )
 from onebend.live.model import (
     REACHED,
     FrameInputs,
-    LiveSession,
     Memory,
     beam_at,
     linearise,
     push_grid_at,
-    session_layout,
+    session_of,
 )
 from onebend.live.posterior import (
     LiveHyperparameters,
@@ -48,15 +46,15 @@ from tests.live.streamed_recording import PLAIN, tags_of
 def test_every_derivative_matches_differences(shares: tuple[float, float, float]) -> None:
     """With every allowance that the learner has. What the beam remembers stays as at the start: of a beam that relaxes
     the curvature at rest, by which it remembers, has no exact derivative."""
-    layout = session_layout(
+    session = session_of(
         Spline(7),
         MARKERS,
         Priors(clock=0.02, scale=SCALE_SD),
         length=0.15,
         mass=0.02,
-        allowances=CAUSAL_ALLOWANCES,
+        allowances=LIVE_ALLOWANCES,
     )
-    session, rng = LiveSession(0.15, MARKERS, 0.02, layout), np.random.default_rng(0)
+    layout, rng = session.layout, np.random.default_rng(0)
     nodes, relaxing = push_grid_at(session, 0.8).grid.nodes, layout.index["relaxation", -1].where
     before = np.cos(nodes[:, None] * np.array([1.0, 2.0, 3.0])) * np.array([[[0.7]], [[-0.4]]])
     force = np.array([[0.02, 0.2], [-0.1, 0.3]])
@@ -65,7 +63,7 @@ def test_every_derivative_matches_differences(shares: tuple[float, float, float]
         np.array([[0.5, -1.0], [0.2, 2.0]]),
         np.array([[0.0, -3.0], [1.0, 0.0]]),
         np.array([1e-3, 0.0]),
-        rng.uniform(0.2, 0.8, (2, TERMS)),
+        rng.uniform(0.2, 0.8, (2, session.terms.count)),
         Memory(before, np.tile([0.3, 0.2, 0.1], (2, 1)), REACHED),
     )
     x = 1e-3 * np.sin(np.arange(layout.size))
@@ -75,7 +73,7 @@ def test_every_derivative_matches_differences(shares: tuple[float, float, float]
     for _ in range(8):
         begin = exact.q
         exact = linearise(session, beam_at(session, 0.8, x), inputs, begin)
-    assert session.carried >= CAUSAL_ALLOWANCES
+    assert session.carried >= LIVE_ALLOWANCES
     at_rest = layout.index["curvature", -1].where if any(shares) else slice(0, 0)
     for i in set(range(layout.size)) - set(range(layout.size)[at_rest]):
         step = h * np.eye(layout.size)[i]
@@ -157,7 +155,7 @@ def test_key_frames_that_hold_every_frame_give_the_textbook_posterior() -> None:
 def linear_frames(seed: int, layout: Layout, count: int) -> KeyFrames:
     """Key frames of a model that is linear: random derivatives, data, information and a rest."""
     rng = np.random.default_rng(seed)
-    keys = empty(count, 2, layout.size, 4)
+    keys = empty(count, 2, layout.size, 4, 0)
     keys.used = count
     keys.begin[:count] = keys.end[:count] = np.cumsum(rng.uniform(0.1, 0.4, count))
     keys.frames[:] = 1.0
@@ -173,13 +171,13 @@ def linear_frames(seed: int, layout: Layout, count: int) -> KeyFrames:
 
 def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_nothing() -> None:
     """Against generalised least squares with the force errors integrated out, to 1e-8."""
-    layout = session_layout(
+    layout = session_of(
         Spline(6),
         np.array([0.5, 1.0]),
         Priors(placement=0.1, origin=0.1, curvature=0.0),
         length=0.15,
         mass=0.0,
-    )
+    ).layout
     keys, prior = linear_frames(1, layout, 7), LivePrior(layout, np.where(np.arange(layout.size) < 6, 0.3, 0.0), None)
     hyperparameters, process = (
         LiveHyperparameters(1.3, 0.02, 0.03, 0.3, 0.02, 0.0),

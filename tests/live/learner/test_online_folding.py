@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.learning.allowances import AllowanceName
+from onebend.learning.allowances import LIVE_ALLOWANCES
 from onebend.learning.parameters import Priors
-from onebend.live.key_frames import CAUSAL_ALLOWANCES
 from onebend.live.learner import OnlineLearner
 from tests.learning.bench import MARKERS, SOFT
 from tests.live.streamed_recording import IDEAL_LIVE, S, learned, many_pushes, shown
 
-IDEAL, USUAL = IDEAL_LIVE.allowances, CAUSAL_ALLOWANCES
+IDEAL, USUAL = IDEAL_LIVE.allowances, LIVE_ALLOWANCES
 TRUTH = np.log(SOFT.stiffness(S))
 
 
@@ -37,7 +36,7 @@ def test_memory_does_not_grow_and_the_past_is_kept() -> None:
 
 
 @pytest.mark.parametrize(("keys", "start", "allowances"), [(8, 0.03, IDEAL), (5, 0.008, IDEAL), (8, 0.03, USUAL)])
-def test_what_is_folded_is_as_if_it_were_kept(keys: int, start: float, allowances: frozenset[AllowanceName]) -> None:
+def test_what_is_folded_is_as_if_it_were_kept(keys: int, start: float, allowances: frozenset[str]) -> None:
     """Exact data, sizes that stay: against a learner with room for every frame. A poor start does not stay in it."""
     made = many_pushes(12, 15, (0.0, 0.0), 0.0)
     settings = replace(

@@ -13,22 +13,20 @@ import pytest
 
 from onebend.beam.problem import Resolution
 from onebend.learning import static_poses
-from onebend.learning.allowances import TIMES, AllowanceName, lags, reached_part
+from onebend.learning.allowances import TIMES, lags, reached_part
 from onebend.learning.fit_data import fit_data
 from onebend.learning.parameters import Layout, Priors, Spline, make_layout
 from onebend.learning.prediction import Prediction, predict
-from onebend.live.key_frames import CLAMP, POSTURE, SLIDE, TERMS
 from onebend.live.model import (
     ORDER,
     WIDEST,
     FrameInputs,
     LinearisedTags,
-    LiveSession,
     Memory,
     beam_at,
     linearise,
     push_grid_at,
-    session_layout,
+    session_of,
 )
 from onebend.records import Array, View
 from tests.learning.bench import SOFT, forces, observed
@@ -47,7 +45,7 @@ FREE = Priors(
     direction=0.01,
 )  # nothing is frozen
 # What both have, in the same functions; the discrepancy has others, and moves the tags just as they say.
-ALLOWED: tuple[AllowanceName, ...] = ("section", "relaxation", "slide", "clamp gives", "posture", "patches", "length")
+ALLOWED = ("section", "relaxation", "slide", "rub", "clamp gives", "posture", "patches", "length")
 BLOCKS = (
     "stiffness",
     "curvature",
@@ -84,7 +82,7 @@ class Point:
         )
         self.fit_data = data = fit_data(made, 0, frames, SPLINE, frozenset(ALLOWED))
         self.fit_layout = make_layout(SPLINE, [made], [data.error_weights.shape[1]], FREE, [data.allowances])
-        self.session_layout = session_layout(
+        self.session = session_of(
             SPLINE,
             TAGS,
             FREE,
@@ -92,6 +90,7 @@ class Point:
             mass=MASS,
             allowances=frozenset(ALLOWED),
         )
+        self.session_layout = self.session.layout
         rng = np.random.default_rng(0)
         sizes = {"stiffness": 0.3, "curvature": 0.1, "mass": 0.1, "across": 1e-3, "turn": 0.02, "section": 0.3}
         sizes |= {"patches": 0.3, "clamp gives": 0.02, "relaxation": 0.0}  # the fit's shapes also know what was before
@@ -100,11 +99,8 @@ class Point:
             for name in BLOCKS
         }
         self.values["stiffness"] += np.log(0.03)
-        self.session = LiveSession(0.15, TAGS, MASS, self.session_layout)
-        course = {a.name: a.basis for a in data.allowances if a.enters in ("force", "place", "clamp")}
-        self.terms = np.zeros((8, TERMS))
-        self.terms[:, SLIDE], self.terms[:, CLAMP] = course["slide"], course["clamp gives"]
-        self.terms[:, POSTURE] = course["posture"][:, 0, :2]
+        bases = {a.name: a.basis for a in data.allowances}
+        self.terms = np.concatenate([bases[a.name].reshape(8, -1) for a in self.session.terms.allowances], axis=1)
 
     def at(self, where: Layout, recording: int, **changed: Array) -> Array:
         """(n,) parameters of one of the layouts."""

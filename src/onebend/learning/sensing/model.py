@@ -17,20 +17,20 @@ from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Problem, has_mass, make_problem, share_farther
 from onebend.beam.sensitivity import Perturbation, of_clamp_angle, of_rest_curvature, of_stiffness, respond
+from onebend.beam.setup import SetUp
 from onebend.beam.statics import Equilibrium, correct, is_stable
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.allowances import camera, heights
 from onebend.learning.fit_data import REST_MODES
 from onebend.learning.frames import at_frames, known_loads
-from onebend.learning.instruments import Instruments
 from onebend.learning.paper import solve_states
 from onebend.learning.parameters import NEEDS_MASS, Priors, clamp_sd, curvature_sd, scale_sd, weighs
 from onebend.learning.prediction import TagRide, tag_blocks
 from onebend.learning.static_poses import RESOLUTION
 from onebend.records import Array, IntArray, Observations
 
-LEARNED = ("curvature", "along", "across", "turn")  # what the beam's recordings have in common, beside k(s)
+LEARNED = ("curvature", "clamp", "origin", "along", "across", "turn")  # that a film of the same mounting has as well
 _PLACES = 401
 _REMEMBERED = 50  # grids
 _SLIGHT = 3e-3  # of log k
@@ -67,19 +67,19 @@ class SharedPrior:
 def shared_prior(
     observations: Observations,
     stiffness: UncertainStiffness | None,
-    instruments: Instruments | None,
+    setup: SetUp | None,
     *,
     tags_as_learned: bool,
     place_sd: float,
 ) -> SharedPrior:
-    """As the recording states it, with the discrepancy of `instruments`, and the place of the contact to `place_sd`
-    [m]; with `tags_as_learned`, rest curvature and tags are those that were learned, with what their errors
-    have in common with those of k(s)."""
+    """As the recording states it, with the discrepancy of the `setup` in which the beam was learned, and the place of
+    the contact to `place_sd` [m]; with `tags_as_learned`, rest curvature, clamp and tags are those of the set-up, with
+    what their errors have in common with those of k(s)."""
     o, priors = observations, Priors()
     m, stated = len(o.marker_s), o.stated
     ways = np.zeros((0, 0)) if stiffness is None else ways_of(stiffness)
     picture, picture_sd = picture_of(o)
-    place, angle = (0.0, 0.0) if instruments is None else instruments.discrepancy
+    place, angle = (0.0, 0.0) if setup is None else (setup.discrepancy, setup.angle_discrepancy)
     sds = {
         "log k": np.ones(ways.shape[1]),
         "gain": np.full(1, 0.0 if stiffness is None else stiffness.gain_sd),
@@ -97,17 +97,16 @@ def shared_prior(
     ends = np.cumsum([0, *(len(sd) for sd in sds.values())]).tolist()
     parts = {name: slice(a, b) for name, a, b in zip(sds, ends[:-1], ends[1:], strict=True)}
     prior = SharedPrior(ways, picture, np.zeros(ends[-1]), np.diag(np.concatenate(list(sds.values()))), parts)
-    if stiffness is None or instruments is None or not (tags_as_learned and same_tags(o, instruments)):
+    if stiffness is None or setup is None or not (tags_as_learned and same_tags(o, setup)):
         return prior
-    return _as_learned(prior, stiffness, instruments)
+    return _as_learned(prior, stiffness, setup)
 
 
-def same_tags(observations: Observations, instruments: Instruments | None) -> bool:
-    """Whether what was learned of the tags is known, and tags of this recording are at the same places."""
-    known = instruments is not None and instruments.shared_mean is not None
-    if not known or instruments is None or len(instruments.tags) != len(observations.marker_s):
+def same_tags(observations: Observations, setup: SetUp | None) -> bool:
+    """Whether the tags of this recording are at the places of those in the set-up."""
+    if setup is None or len(setup.tags) != len(observations.marker_s):
         return False
-    return bool(np.allclose(instruments.tags, observations.marker_s, rtol=0.0, atol=_SAME_PLACE))
+    return bool(np.allclose(setup.tags, observations.marker_s, rtol=0.0, atol=_SAME_PLACE))
 
 
 def picture_of(observations: Observations) -> tuple[Array, Array]:
@@ -134,24 +133,19 @@ def ways_of(stiffness: UncertainStiffness) -> Array:
     return np.asarray(root @ turn[size > _SLIGHT].T)
 
 
-def _as_learned(prior: SharedPrior, stiffness: UncertainStiffness, instruments: Instruments) -> SharedPrior:
-    """With the joint density of log k and the rest that the learning left; ways of log k that were left out are
-    counted with what k(s) does not tell."""
-    ours, theirs = [], []
-    for name, where in instruments.shared_parts.items():
-        if name in LEARNED:
-            ours += list(range(prior.parts[name].start, prior.parts[name].stop))
-            theirs += list(range(where.start, where.stop))
-    slope = instruments.shared_slope[theirs]
+def _as_learned(prior: SharedPrior, stiffness: UncertainStiffness, setup: SetUp) -> SharedPrior:
+    """With the joint density of log k and the set-up; ways of log k that were left out are counted with what k(s) does
+    not tell."""
+    names = [name for name in LEARNED if name in setup.columns]
+    ours, theirs = (np.concatenate([np.r_[where[name]] for name in names]) for where in (prior.parts, setup.columns))
+    slope = setup.slope[theirs]
     unseen = slope @ (stiffness.covariance - prior.ways @ prior.ways.T) @ slope.T
-    left = instruments.shared_covariance[np.ix_(theirs, theirs)] + unseen
-    values, vectors = np.linalg.eigh(0.5 * (left + left.T))
+    values, vectors = np.linalg.eigh(setup.covariance[np.ix_(theirs, theirs)] + 0.5 * (unseen + unseen.T))
     mean, root = prior.mean.copy(), prior.root.copy()
     root[ours] = 0.0
     root[np.ix_(ours, ours)] = vectors * np.sqrt(np.maximum(values, 0.0))
     root[ours, prior.parts["log k"]] = slope @ prior.ways
-    assert instruments.shared_mean is not None
-    mean[ours] = instruments.shared_mean[theirs]
+    mean[ours] = setup.mean[theirs]
     mean[prior.parts["curvature"]] = 0.0  # that of the beam is the learned one
     return SharedPrior(prior.ways, prior.picture, mean, root, prior.parts)
 

@@ -10,12 +10,12 @@ from typing import Literal
 import numpy as np
 
 from onebend.beam.model import Beam
+from onebend.beam.setup import SetUp
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.endings import Edge, bending, ended
 from onebend.learning.force_error import force_error
-from onebend.learning.instruments import Instruments
 from onebend.learning.outcome import Notice
 from onebend.learning.sensing import model
 from onebend.learning.sensing.contacts import Smoothed, edges_of, frames_at_edges, runs_of, smoothed, within
@@ -247,16 +247,16 @@ def sense(
     observations: Observations,
     *,
     stiffness: UncertainStiffness | None = None,
-    instruments: Instruments | None = None,
+    setup: SetUp | None = None,
     settings: SenseSettings = SenseSettings(),
 ) -> Sensed:
     """The force of every frame that shows tags, with a 95 % region, from the shape of `beam`.
 
     The regions hold the tags' noise, the band of k(s) where `stiffness` gives one, the mounting (the tags' places and
     turns, the clamp, the rest shape) as it is left by the frames at rest, and the place's tolerance. The force log is
-    not used but to compare with. `instruments` are those of the model: where the recording has the same tags, their
-    places and turns are as they were learned, together with the errors of k(s); what the learning left unexplained (its
-    discrepancy) counts in any case.
+    not used but to compare with. `setup` is that in which the beam was learned, with what is new: where the recording
+    has the same tags, they and the clamp are as they were learned, together with the errors of k(s); what the learning
+    left unexplained (its discrepancy) counts in any case.
 
     Raises:
         LearningError: the beam is not that of the recording, its end is held, nobody says where the force acts, or no
@@ -264,7 +264,7 @@ def sense(
         MechanicsError: k(s) is not positive somewhere.
     """
     o = observations
-    bench, priors = bench_of(beam, o, stiffness, instruments, settings), priors_of(beam, settings)
+    bench, priors = bench_of(beam, o, stiffness, setup, settings), priors_of(beam, settings)
     tells: BoolArray = np.sum(np.isfinite(o.xy), axis=(1, 2)) >= 2
     frames = np.flatnonzero(tells).astype(np.int64)
     if not frames.size:
@@ -299,7 +299,7 @@ def bench_of(
     beam: Beam,
     o: Observations,
     stiffness: UncertainStiffness | None,
-    instruments: Instruments | None,
+    setup: SetUp | None,
     settings: SenseSettings,
 ) -> Bench:
     """The bench as the beam at rest leaves it.
@@ -313,7 +313,7 @@ def bench_of(
     if settings.place == "unknown":
         place_sd = 0.0
     as_learned = settings.tags == "learned"
-    prior = model.shared_prior(o, stiffness, instruments, tags_as_learned=as_learned, place_sd=place_sd)
+    prior = model.shared_prior(o, stiffness, setup, tags_as_learned=as_learned, place_sd=place_sd)
     return rested(Bench(beam, stiffness, prior, o, prior.mean, prior.root))
 
 
@@ -467,7 +467,7 @@ class OnlineSense:
         at_rest: Observations,
         *,
         stiffness: UncertainStiffness | None = None,
-        instruments: Instruments | None = None,
+        setup: SetUp | None = None,
         settings: SenseSettings = SenseSettings(),
     ) -> None:
         """`at_rest`: what was seen of the beam with nothing on it, and what is stated of it.
@@ -476,7 +476,7 @@ class OnlineSense:
             LearningError: as `sense`.
         """
         o = replace(at_rest, source=replace(at_rest.source, view=None), by_camera=None)
-        self._bench = bench_of(beam, o, stiffness, instruments, settings)
+        self._bench = bench_of(beam, o, stiffness, setup, settings)
         every = np.arange(len(o.time), dtype=np.int64)
         self._place = None if settings.place == "unknown" else float(places_of(o, every, settings)[0])
         self._force_sd = priors_of(beam, settings)[:2]

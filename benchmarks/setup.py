@@ -1,0 +1,218 @@
+"""A point led to goals in the set-up that its beam was learned in, and with another tool and sensor.
+
+Virtual benches with effects drawn at random (`benchmarks.real_bench`) are learned from one push. `reach` then gives the
+forces for goals among the places that the recording showed, and the true beam is bent by them with all its effects
+(`onebend.lab.rod`): until the true sensor shows the force. Places are those in the frame of the recording. A new tool
+touches elsewhere and slides otherwise, a new sensor has another scale, other axes and another error with the posture;
+both are drawn from the priors of the fit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks.real_bench import bench_of
+from onebend.beam.setup import Renewed
+from onebend.control.reach import reach_in_setup
+from onebend.errors import ControlError, LearningError, MechanicsError, ObservationError
+from onebend.lab.bench import smooth, turned
+from onebend.lab.rod import RodMotion, RodTask, march
+from onebend.lab.virtual import (
+    VirtualBench,
+    VirtualRecording,
+    from_base,
+    observe_virtual,
+    tag_places,
+    virtual_recording,
+)
+from onebend.learning.allowances import POSTURE_SD, SLIDE_SD
+from onebend.learning.instruments import setup_of
+from onebend.learning.posterior import Posterior, fit
+from onebend.records import DIRECTION_SD, GAIN_SD, PLACE_SD, Array
+
+CELLS = ("none", "small", "all")
+GOALS = 4  # a bench
+STEP = 0.1  # s, of the rod that is bent
+PASSES = 3  # of the force that the true sensor shows
+SPREAD = 0.35  # rad, of the goals' forces about the mean direction of the push
+LEVELS = (0.5, 0.95)
+NEW: tuple[Renewed, ...] = ("tool", "sensor")
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A bench, and what was learned on it."""
+
+    cell: str
+    seed: int
+    bench: VirtualBench
+    made: VirtualRecording
+    turn: float  # rad, of the recording's frame against the base tag
+    posterior: Posterior
+
+
+@dataclass(frozen=True)
+class Led:
+    """A point led to one goal."""
+
+    cell: str
+    seed: int
+    new: bool  # another tool and sensor
+    off: float  # m, of the true point from the goal
+    squared: float  # Mahalanobis distance from the predicted place
+    long: float  # m, larger semi-axis of the 95 % ellipse
+    doubted: bool
+
+
+def fixed(bench: VirtualBench, seed: int) -> VirtualBench:
+    """With the gain of its one sensor drawn, so that it is the same when the beam is bent."""
+    sensor, rng = bench.sensor, np.random.default_rng([seed, 5])
+    return replace(bench, sensor=replace(sensor, gain=sensor.gain + sensor.gain_sd * rng.standard_normal(), gain_sd=0))
+
+
+def learn(cell: str, seed: int) -> Learned:
+    """Make, observe, fit."""
+    bench = fixed(bench_of(cell, seed)[0], seed)
+    made = virtual_recording(bench, seed=seed)
+    seen = observe_virtual(made)
+    turn = float(np.nanmedian(made.markers.angle[seen.frame] - seen.angle))
+    return Learned(cell, seed, bench, made, turn, fit([seen], gain_sd=bench.declared.gain_sd))
+
+
+@dataclass(frozen=True)
+class TrueSetUp:
+    """The bench as it is when the beam is bent."""
+
+    bench: VirtualBench
+    turn: float  # rad, of the recording's frame against the base tag
+    posture: Array  # (5, 2) N, of the sensor's error: coefficients of x, y, x^2, xy, y^2 of the tool over the length
+    axes: float = 0.0  # rad, of the sensor against the beam
+    noise: tuple[float, float] = (0.0, 0.0)  # N that the sensor shows beside
+
+    def place(self, shown: Array, point_s: float) -> Array:
+        """(2,) m in the recording's frame: the point once the sensor shows this force (2,) [N]."""
+        wanted = turned((shown - np.array(self.noise))[None] / self.bench.sensor.gain, -self.axes)[0]
+        force, point = wanted, np.array([point_s])
+        for _ in range(PASSES):
+            motion = self.motion(force, point)
+            x, y = (motion.tool[-1] - motion.tool[0]) / self.bench.beam.length
+            force = wanted - np.array([x, y, x * x, x * y, y * y]) @ self.posture
+        pose = motion.poses(motion.time[-1:], point)
+        return np.asarray(turned(from_base(pose, self.bench.base)[0, :, :2], -self.turn)[0])
+
+    def motion(self, force: Array, point: Array) -> RodMotion:
+        """From rest to the force, as fast as in the recording, and held."""
+        push, effects = self.bench.push, replace(self.bench.effects, inertia=False)
+
+        def grown(time: Array) -> Array:
+            return np.asarray(smooth(time / push.rise)[:, None] * force)
+
+        task = RodTask(self.bench.beam, effects, tag_places(self.bench), grown, push.at_s, push.rise + push.hold)
+        return march(task, STEP, at=point)
+
+
+def posture_of(bench: VirtualBench, tool: Array) -> Array:
+    """(5, 2) N of `TrueSetUp.posture`, where the push took the tool to these places (T, 2) [m]."""
+    shape = np.asarray(bench.effects.posture_shape).reshape(2, 5).T
+    x, y = ((tool - tool[0]) / bench.beam.length).T
+    terms = np.stack([x, y, x**2, x * y, y**2], axis=-1)
+    return shape * bench.effects.posture_bias * bench.push.peak / float(np.max(np.linalg.norm(terms @ shape, axis=1)))
+
+
+def same(one: Learned, rng: np.random.Generator) -> TrueSetUp:
+    """The set-up of the recording, with new noise of its sensor."""
+    sensor, tool = one.bench.sensor, np.zeros((1, 2)) if one.made.motion is None else one.made.motion.tool
+    noise = np.hypot(sensor.coloured_sd, sensor.drift * np.sqrt(one.bench.push.duration)) * rng.standard_normal(2)
+    posture = posture_of(one.bench, tool) if one.bench.effects.posture_bias else np.zeros((5, 2))
+    return TrueSetUp(one.bench, one.turn, posture, noise=(float(noise[0]), float(noise[1])))
+
+
+def renewed(one: Learned, rng: np.random.Generator) -> TrueSetUp:
+    """Another tool and another sensor, drawn as the priors of the fit have them."""
+    before, bench = same(one, rng), one.bench
+    off, slide = rng.normal(0.0, PLACE_SD), rng.normal(0.0, SLIDE_SD)
+    beyond = bench.beam.length * (bench.push.at_s - 1.0) + off
+    off = off - 2.0 * beyond if beyond > 0.0 else off  # there is no beam
+    effects = replace(bench.effects, push_off=float(off), slide=float(slide))
+    sensor = replace(bench.sensor, gain=1.0 + float(rng.normal(0.0, GAIN_SD)))
+    size = POSTURE_SD * bench.push.peak
+    posture = size * rng.standard_normal((5, 2)) / np.sqrt(5.0)
+    axes = float(rng.normal(0.0, DIRECTION_SD))
+    return replace(before, bench=replace(bench, effects=effects, sensor=sensor), posture=posture, axes=axes)
+
+
+def led(one: Learned) -> list[Led]:
+    """The point at the tip, led to goals in the set-up of the recording and with new parts."""
+    setup, known, beam = setup_of(one.posterior), one.posterior.stiffness, one.posterior.beam
+    assert setup is not None
+    rng = np.random.default_rng([one.seed, 7])
+    push, out = one.bench.push, list[Led]()
+    for _ in range(GOALS):
+        size, turn = push.peak * rng.uniform(0.4, 1.0), push.direction + SPREAD * rng.uniform(-1.0, 1.0)
+        shown = one.bench.sensor.gain * size * np.array([np.cos(turn), np.sin(turn)])
+        goal = setup.bent(beam, known, shown[None]).xy(np.array([1.0]))[0, 0]
+        for new in (False, True):
+            there = renewed(one, rng) if new else same(one, rng)
+            found = reach_in_setup(beam, known, setup, goal, push_s=push.at_s, new=NEW if new else ())
+            place = there.place(found.force, 1.0)
+            off = float(np.linalg.norm(place - goal))
+            squared, long = float(found.predicted.distance(place)), float(found.predicted.ellipse().semi_axes[0])
+            out.append(Led(one.cell, one.seed, new, off, squared, long, bool(one.posterior.doubts)))
+    return out
+
+
+def run(cell: str, seed: int) -> list[Led] | str:
+    """One bench; why not, where it cannot be made, learned or bent."""
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    try:
+        return led(learn(cell, seed))
+    except (ControlError, LearningError, MechanicsError, ObservationError) as wrong:
+        return f"{cell} {seed}: {type(wrong).__name__}: {wrong}"
+
+
+def row(name: str, goals: Sequence[Led]) -> str:
+    """The table's row of goals on some benches."""
+    off = 1e3 * np.quantile([one.off for one in goals], [0.5, 0.9])
+    inside = [100.0 * np.mean([one.squared <= -2.0 * np.log1p(-level) for one in goals]) for level in LEVELS]
+    long = 1e3 * float(np.median([one.long for one in goals]))
+    return (
+        f"| {name} | {len({one.seed for one in goals})} | {len(goals)} | {off[0]:.2f} | {off[1]:.2f} "
+        f"| {' / '.join(f'{share:.0f}' for share in inside)} | {long:.1f} |"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=20, help="benches of each cell")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first")
+    parser.add_argument("--cells", nargs="*", default=CELLS, choices=CELLS, help="effects")
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    asked = parser.parse_args()
+    wanted = [(cell, asked.first + i) for cell in asked.cells for i in range(asked.runs)]
+    goals: list[Led] = []
+    with ProcessPoolExecutor(asked.jobs) as pool:
+        for found in pool.map(run, *zip(*wanted, strict=True)):
+            if isinstance(found, str):
+                print(found, file=sys.stderr, flush=True)
+            else:
+                goals += found
+    levels = " / ".join(f"{100 * level:.0f}" for level in LEVELS)
+    heads = ("effects", "benches", "goals", "tip off, median [mm]", "90 % [mm]", f"inside the {levels} % ellipse [%]")
+    print(f"| {' | '.join(heads)} | larger semi-axis, 95 % [mm] |")
+    print("| --- " * 7 + "|")
+    for cell in asked.cells:
+        for new in (False, True):
+            some = [one for one in goals if (one.cell, one.new) == (cell, new)]
+            if some:
+                print(row(f"{cell}, {'new tool and sensor' if new else 'same set-up'}", some))
+
+
+if __name__ == "__main__":
+    main()
