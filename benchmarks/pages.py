@@ -2,8 +2,8 @@
 
 A generated part stands in its page between `<!-- generated: NAME -->` and `<!-- end -->`. docs/cli.md has one
 for each command, made from the command's options. docs/recording.md has one for each table of `recording.toml`, made
-from the schema. The text around them is written by hand; tests/whole/test_docs.py compares the parts with the code. `options.json` of
-the command line is written too; tests/test_startup.py compares it.
+from the schema. The text around them is written by hand; tests/whole/test_docs.py compares the parts with the code.
+`options.json` of the command line is written too; tests/test_startup.py compares it.
 """
 
 from __future__ import annotations
@@ -51,21 +51,18 @@ def renewed(text: str, parts: Mapping[str, str]) -> str:
 
 
 def commands() -> dict[str, str]:
-    """The list of all commands, the options that several share, and each command with its own. An option that two
-    commands share is explained at the first of them."""
+    """The options that several commands share, and each command with its own. An option that two commands share is
+    explained at the first of them."""
     parameters = {name: [(one.said, one.says) for one in asked_of(name)] for name in all_commands()}
     counts = Counter(said for own in parameters.values() for said in own)
     shared = [said for said, count in counts.items() if count >= COMMON]
-    parts = {"commands": ", ".join(f"[{name}](#{name})" for name in all_commands()) + "."}
-    parts["common options"] = "\n".join(f"- {name}: {says}" for name, says in shared)
+    parts = {"common options": "\n".join(f"- {name}: {says}" for name, says in shared)}
     first = {said: name for name, own in reversed(parameters.items()) for said in own}
     for name, own in parameters.items():
         elsewhere: dict[str, list[str]] = {}
         for said in own:
-            if said[0].startswith("`-") and (said in shared or first[said] != name):
-                link = (
-                    "[common options](#common-options)" if said in shared else f"as for [{first[said]}](#{first[said]})"
-                )
+            if said[0].startswith("`-") and said not in shared and first[said] != name:
+                link = f"as for [{first[said]}](#{first[said]})"
                 elsewhere.setdefault(link, []).append(said[0].split(",")[0].split(" ")[0].rstrip("`") + "`")
         told = {said for said in own if said in shared or (said[0].startswith("`-") and first[said] != name)}
         lines = [f"- {said}: {says}" for said, says in own if (said, says) not in told]
