@@ -114,26 +114,6 @@ def half_widths(band: Band) -> list[str]:
     return [half_width_words(float(half)).removeprefix("± ").replace("a factor of ", "x ") for half in halves]
 
 
-def estimate_table(
-    uncertain: UncertainStiffness, regression: Learned | None, modulus: confidence.ModulusRows | None = None
-) -> Table:
-    s = np.linspace(0.0, 1.0, 11)
-    band = uncertain.band(s)
-    known = ["yes" if one else "no" for one in band.identified]
-    k, low, high = ([significant(float(value)) for value in values] for values in (band.k, band.low, band.high))
-    named: list[tuple[str, Sequence[str]]] = [("s", [f"{place:.1f}" for place in s]), ("k [N m]", k)]
-    named += [("± 95 %", half_widths(band)), ("from", low), ("to", high), ("identified", known)]
-    if regression is not None:
-        papers = [f"[dim]{significant(float(value))}[/]" for value in regression.beam.stiffness(s)]
-        named.append(("paper's k", papers))
-    if modulus is not None:
-        named += [(f"E [{modulus.unit}]", modulus.values), ("from", modulus.low), ("to", modulus.high)]
-    table = listing(None, *(name for name, _ in named), gap=2)
-    for cells, there in zip(zip(*(values for _, values in named), strict=True), band.identified, strict=True):
-        table.add_row(*cells, style="" if there else "bright_black")
-    return table
-
-
 def nuisance_table(nuisances: Sequence[Nuisance]) -> Table:
     """Nuisances before and after the data; beyond 2 sd in colour."""
     table = listing("Fitted with k(s)", "<", "value", "sd before", "sd after", gap=2)
@@ -454,11 +434,7 @@ def _as_logged_words(run: Run, posterior: Posterior) -> list[str]:
 def _fit(run: Run, posterior: Posterior) -> list[RenderableType]:
     uncertain = posterior.stiffness
     blind = confidence.unidentified_words(uncertain, len(run.recordings))
-    found: list[RenderableType] = [
-        estimate_table(
-            uncertain, run.learned, confidence.modulus_rows(confidence.measured_beam(run), np.linspace(0.0, 1.0, 11))
-        )
-    ]
+    found: list[RenderableType] = []
     force = [
         confidence.scale_words(posterior.gain_sd, run.recordings),
         *confidence.load_error_words(posterior.load_error),
