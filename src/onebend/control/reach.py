@@ -271,8 +271,8 @@ class Reach:
     known: bool = False  # one step from a precomputed equilibrium
 
     def __repr__(self) -> str:
-        found = f"force={self.force.tolist()} N" if self.converged else f"no force: {self.reason}"
-        return f"Reach(goal={self.goal.tolist()} m, {found})"
+        goal, force = (", ".join(f"{value:.4g}" for value in values) for values in (self.goal, self.force))
+        return f"Reach(goal=({goal}) m, {f'force=({force}) N' if self.converged else f'no force: {self.reason}'})"
 
     @property
     def beam(self) -> Beam:
