@@ -114,7 +114,9 @@ def test_no_plane_is_drawn_where_one_coordinate_alone_was_read() -> None:
 
 def test_the_poses_of_a_check_are_lines_with_names() -> None:
     axes = recordings._drawn(overview(HUNG)).axes[0]
-    names = [text.get_text() for text in axes.get_legend().get_texts()]
+    legend = axes.get_legend()
+    assert legend is not None
+    names = [text.get_text() for text in legend.get_texts()]
     assert names[:6] == ["bare", "20 g tip", "50 g tip", "80 g tip", "50 g middle", "100 g middle"]
     first = np.array(axes.lines[3].get_data(), dtype=float)
     assert first[:, 0].tolist() == [0.0, 0.0]  # each from the clamp
