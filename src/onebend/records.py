@@ -290,6 +290,7 @@ class Stated:
     tag_size: float = math.nan  # m, side of a tag's black square; NaN for markers that are no tags
     load_error_sd: float = math.nan  # N, of a force error that comes with the load; NaN: found by the fit
     section: StatedSection | None = None  # None: not measured, or not whole
+    friction_sd: float = 0.0  # of the tool's coefficient of friction, where the log lacks the force along the beam
     rest_change_sd: float = 0.0  # rad, one sd of the Legendre states of q0 from recording to recording of one beam
     masses: tuple[PointMass, ...] = ()  # that ride on the beam, besides `mass`
 

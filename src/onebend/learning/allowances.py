@@ -91,6 +91,7 @@ class PushCourse:
     tags: tuple[str, ...]  # their names
     tag_size: float  # m, NaN if unknown
     thick: bool  # the section's thickness is known
+    friction_sd: float  # prior sd of the tool's coefficient of friction
     time: Array  # (T,) s, without those at rest
     force: Array  # (F, 2) N
     largest: tuple[float, float]  # N, m: the largest force, and displacement of the tags, root mean square
@@ -138,6 +139,7 @@ def course_of(observations: Observations, frames: BoolArray, film: Film | None =
         tags=tuple(f"tag {i}" for i in o.tag_id[on_body]),
         tag_size=o.stated.tag_size,
         thick=bool(np.isfinite(o.stated.thickness)),
+        friction_sd=o.stated.friction_sd,
         time=time,
         force=with_rest(force, count),
         largest=(float(np.max(np.linalg.norm(force, axis=1), initial=0.0)), largest),
@@ -179,17 +181,15 @@ def sliding(course: PushCourse) -> Allowance | None:
     return Allowance("slide", "place", "m/rad", ("contact slides",), sd, basis, least=RARE)
 
 
-FRICTION_SD = 0.3  # of the force across the beam: a coefficient of friction
-
-
 def rubbing(course: PushCourse) -> Allowance | None:
-    """A force along the beam, in proportion to the logged one across it (Coulomb's friction), of one sign in a push."""
-    if not course.pushed:
+    """A force along the beam that the log does not contain, in proportion to the logged one across it (Coulomb's
+    friction), of one sign in a push. A sensor of two axes measures friction, so it is allowed for only where stated."""
+    if not course.pushed or course.friction_sd == 0.0:
         return None
     turn = course.turn_at_push
     along = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     across = course.force[:, 1] * along[:, 0] - course.force[:, 0] * along[:, 1]
-    sd, basis = np.array([FRICTION_SD]), (across[:, None] * along)[..., None]
+    sd, basis = np.array([course.friction_sd]), (across[:, None] * along)[..., None]
     return Allowance("rub", "force", "1", ("friction of the tool",), sd, basis, least=RARE)
 
 

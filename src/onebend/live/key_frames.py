@@ -32,6 +32,7 @@ def course_of_frame(marker_s: Array, beam_length: float, tag_size: float, *, thi
         tags=tuple(f"tag {i}" for i in range(1, m + 1)),
         tag_size=tag_size,
         thick=thick,
+        friction_sd=0.0,
         time=rest,
         force=np.array([[1.0, 0.0]]),
         largest=(1.0, 1.0),

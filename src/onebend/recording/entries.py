@@ -484,6 +484,13 @@ class PushEntry:
         "how far off that place the force may act along the beam (one sd), m; 0: exact",
         PLACE_SD,
     )
+    friction_sd: float = key(
+        "friction_sd = 0.3",
+        SD,
+        "the tool rubs and the log lacks the force along the beam, as of a sensor with one axis: coefficient of "
+        "friction (one sd); 0: no such force",
+        0.0,
+    )
 
 
 @dataclass(frozen=True)

@@ -52,6 +52,7 @@ def stated_in(description: Recording) -> Stated:
         thickness=_thickness(sizes),
         tag_size=tags.size,
         load_error_sd=math.nan if force is None else force.bias_sd,
+        friction_sd=0.0 if description.push is None else description.push.friction_sd,
         section=section,
         modulus_varies=beam.modulus_varies,
         rest_change_sd=beam.rest_change_sd,

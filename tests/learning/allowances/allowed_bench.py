@@ -33,7 +33,7 @@ def filmed(count: int = 20) -> Observations:
     made = observed(SOFT, forces(count), at_s=PUSH_S)
     made = replace(made, marker_s=TAGS, time=0.3 * np.arange(count) + 0.05 * np.sin(np.arange(count)))
     by_camera = 1e-5 * np.random.default_rng(1).standard_normal((count, len(TAGS), 3, 2))
-    return replace(with_source(with_stated(made, rest="unknown"), view=CAMERA), by_camera=by_camera)
+    return replace(with_source(with_stated(made, rest="unknown", friction_sd=0.3), view=CAMERA), by_camera=by_camera)
 
 
 def course(count: int = 20, **changed: object) -> PushCourse:

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from onebend.learning.allowances import EVERY_ALLOWANCE, FRICTION_SD, rubbing
+from onebend.learning.allowances import EVERY_ALLOWANCE, rubbing
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import Nuisance, Posterior, fit
 from onebend.records import Array, Observations
 from tests.learning.allowances.allowed_bench import PUSH_S, course
 from tests.learning.bench import SOFT, forces, observed
 
-FRICTION, NOISE = 0.25, (2e-5, 1e-3)
+FRICTION, FRICTION_SD, NOISE = 0.25, 0.3, (2e-5, 1e-3)
 S = np.linspace(0.1, 0.9, 9)
 
 
@@ -34,7 +34,7 @@ def rubbed(friction: float) -> Observations:
         pushed = normal + friction * size[:, None] * tangent
         turn = SOFT.equilibrium(pushed, at_s=PUSH_S).angle(np.array([PUSH_S]))[:, 0]
     made = observed(SOFT, pushed, at_s=PUSH_S, noise=NOISE, seed=2)
-    return replace(made, force=normal)
+    return replace(made, force=normal, stated=replace(made.stated, friction_sd=FRICTION_SD))
 
 
 def fitted(made: Observations, *without: str) -> Posterior:
@@ -46,9 +46,10 @@ def friction_in(found: Posterior) -> Nuisance:
 
 
 def test_the_force_is_along_the_beam_and_in_proportion_to_that_across_it() -> None:
-    one = rubbing(course())
+    push = course()
+    one = rubbing(push)
     assert one is not None
-    turn, force = course().turn_at_push, course().force
+    turn, force = push.turn_at_push, push.force
     normal, _ = across(force, turn)
     pushed = one.basis[..., 0]
     np.testing.assert_allclose(np.sum(pushed * normal, axis=1), 0.0, atol=1e-12)
@@ -68,3 +69,16 @@ def test_a_tool_that_does_not_rub_costs_next_to_nothing() -> None:
     one = friction_in(found)
     assert abs(one.value) < one.sd
     np.testing.assert_allclose(found.stiffness.log_at(S)[1], without.stiffness.log_at(S)[1], rtol=0.02)
+
+
+def test_a_log_of_two_axes_measures_friction() -> None:
+    assert rubbing(replace(course(), friction_sd=0.0)) is None
+
+
+def test_a_turned_log_is_not_taken_for_friction() -> None:
+    turn = np.deg2rad(15.0)
+    made = observed(SOFT, forces(40), at_s=PUSH_S, noise=NOISE, seed=3)
+    turned = replace(made, force=made.force @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]))
+    found = fitted(turned)
+    direction = next(n for n in found.nuisances() if "direction" in n.name and "force" in n.name)
+    assert abs(abs(direction.value) - turn) < 3.0 * direction.sd
