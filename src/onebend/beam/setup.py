@@ -51,6 +51,7 @@ PARTS: dict[str, tuple[str, tuple[Renewed, ...]]] = {
     "force error": ("N", ("contact", "sensor")),  # (4) e1 and e2, x and y in turn
     "gain": ("1", ("sensor",)),  # log of the sensor's scale over that of the sensor that taught k(s)
 }
+_BEYOND = 1.5  # times the largest force of the recording: beyond, nothing tells how the beam bends
 _FAR = 30.0  # sds of a normal density: nothing is farther
 _ELSEWHERE = 1e-3  # of s: a push as far from that of the recording is a new contact
 _PASSES = 4  # of the parts that follow the shape: each pass leaves a few percent of their error
@@ -261,6 +262,11 @@ class SetUp:
         on_sensor = force - bend[:, None] * error[:2] - bend[:, None] ** 2 * error[2:]
         turn = np.full(len(force), -self._part(self.mean, "direction", 1)[0])
         return np.asarray(np.exp(self._part(self.mean, "gain", 1)[0]) * _turned(on_sensor, turn))
+
+    def beyond(self, forces: Array) -> float:
+        """How many times as large as in the recording the largest of `forces` (..., 2) [N] is; 0 up to 1.5 times."""
+        times = float(np.max(np.linalg.norm(forces, axis=-1), initial=0.0) / np.hypot(*self.force))
+        return times if times > _BEYOND else 0.0
 
     def shown(self, unloaded: Problem, solved: Equilibrium, forces: Array) -> Array:
         """(T, a, 2) N that the sensor shows for `forces` (T, a, 2) on the ideal beam, `solved` under them."""

@@ -690,7 +690,8 @@ _SHARES, _AROUND = (
     np.array([0.1, 0.3, 0.5, 0.75, 1.0, 1.5, 2.5]),
     24,
 )  # of the largest force of the recording; directions
-_STEP, _LONGEST, _MOST_TRIALS, _SHORTER = 1e-3, 0.3, 40, 0.3  # the first two likewise
+_STEP, _LONGEST, _MOST_TRIALS, _SHORTER = 1e-3, 0.3, 20, 0.3  # the first two likewise
+_MOST_STARTS_IN_SETUP = 12
 _ON_THE_WAY = 20
 
 
@@ -793,8 +794,19 @@ def _force_in_setup(
     around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     starts = np.concatenate([np.zeros((1, 2)), *(largest * share * around for share in _SHARES)])
     there = bent(starts)
-    away = np.where(there.stands, np.linalg.norm(there.xy(point)[:, 0] - goal, axis=1), np.inf)
-    base, change, best, step = starts[np.argmin(away)], np.zeros(2), np.inf, _STEP * largest
+    away = np.linalg.norm(there.xy(point)[:, 0] - goal, axis=1)
+    for start in starts[np.argsort(np.where(there.stands, away, np.inf))[:_MOST_STARTS_IN_SETUP]]:
+        found = _newton_in_setup(bent, goal, point, start, largest, met)
+        if found is not None:
+            return found
+    return None
+
+
+def _newton_in_setup(
+    bent: Callable[[Array], Bent], goal: Array, point: Array, base: Array, largest: float, met: float
+) -> tuple[Array, int] | None:
+    """The same from the force `base` (2,) [N], with steps that shorten until they come nearer."""
+    change, best, step = np.zeros(2), np.inf, _STEP * largest
     for trial in range(_MOST_TRIALS):
         force = base + change
         there = bent(force + step * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
