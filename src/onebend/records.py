@@ -317,6 +317,16 @@ class FrameMeans:
 
 
 @dataclass(frozen=True)
+class ToolTrack:
+    """Where the film shows the tool against the beam, in P frames."""
+
+    time: Array  # (P,) s, as `Observations.time`
+    s: Array  # (P,)
+    sd: Array  # (P,) of s, of each frame by itself
+    effects: Array  # (P, n) of s: what one sd of each of n errors that all frames share does
+
+
+@dataclass(frozen=True)
 class Observations:
     """What a recording says, on one clock and in one frame: all that learning and validation need.
 
@@ -355,6 +365,7 @@ class Observations:
     # (m,) which are points of the body's outline and no tags: measured across the curve alone, whose direction there is
     # `angle`; their place along it is free. None: none
     traced: BoolArray | None = None
+    tool: ToolTrack | None = None  # None: the film does not show it reliably
 
 
 def tags_among(seen: Markers | Observations) -> BoolArray:

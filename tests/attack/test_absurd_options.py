@@ -53,7 +53,7 @@ REQUESTS: dict[str, list[object]] = {
 }
 WORDS = {
     "a swing backwards": "must be known and rise from row to row",
-    "a swing beyond all numbers": r"row 202: x is infinite, or beyond 1e.30",
+    "a swing beyond all numbers": r"line 202: x is infinite, or beyond 1e.30",
     "a force beyond all numbers": "max-force-N",
     "samples by the million": "2e.06 samples at 1e.06 Hz",
 }

@@ -141,10 +141,10 @@ CSV_CASES = [
 SECRET = "root:|daemon"
 FILE_CASES = [
     Case("force = /etc/passwd", edit(TOML, '"force.csv"', '"/etc/passwd"'), "no column"),
-    Case("markers = /etc/passwd", edit(TOML, '"markers.csv"', '"/etc/passwd"'), "lacks the column"),
+    Case("markers = /etc/passwd", edit(TOML, '"markers.csv"', '"/etc/passwd"'), "no column"),
     Case("a link to /etc/passwd", special("/etc/passwd"), "no column"),
-    Case("mass_file = /etc/passwd", named("beam", "mass_file", "/etc/passwd"), "lacks the column"),
-    Case("section_file = /etc/passwd", named("beam", "section_file", "/etc/passwd"), "lacks the column"),
+    Case("mass_file = /etc/passwd", named("beam", "mass_file", "/etc/passwd"), "no column"),
+    Case("section_file = /etc/passwd", named("beam", "section_file", "/etc/passwd"), "no column"),
     Case("force = /proc/kmsg", edit(TOML, '"force.csv"', '"/proc/kmsg"'), "is empty"),
     Case("force = /proc/self/mem", edit(TOML, '"force.csv"', '"/proc/self/mem"'), "is empty"),
     Case("force = /dev/zero", edit(TOML, '"force.csv"', '"/dev/zero"'), "is a device, and no file"),

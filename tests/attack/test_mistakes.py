@@ -108,7 +108,7 @@ CASES = [
     Case("axes a quarter round", edit(TOML, LOG, f"{LOG}\nrotation_deg = 90"), "turned by -90 deg. In .force., corr"),
     Case("the log of another push", numbers(FORCE, unlike), "Check that the log is of this push"),
     Case("an empty log", rewrite(FORCE, lambda _: ""), "force.csv is empty"),
-    Case("a log of a header", rewrite(FORCE, lambda text: text.splitlines()[0]), "holds 0 rows of numbers"),
+    Case("a log of a header", rewrite(FORCE, lambda text: text.splitlines()[0]), "has no rows"),
     Case("semicolons and decimal commas", SPACED, "separated by commas, and decimals written with a point"),
     Case("semicolons in the tracks", rewrite(MARKERS, lambda text: text.replace(",", ";")), "parted by semicolons"),
     Case("no place of the push", edit(TOML, "[push]\nat_s = 1.0", ""), "Add `.push.` with `at_s = 1.0`"),

@@ -164,7 +164,7 @@ def test_times_from_a_file_are_used_and_counted(tmp_path: Path) -> None:
         ("time_s\n0\n1\n2\n", "3 times, but the video has more frames"),
         ("time_s\n0\n1\n2\n3\n4\n", "5 times for 4 frames"),
         ("time_s\n0\n1\n1\n2\n", "frame 2 .* does not rise"),
-        ("time_s\n0\nx\n2\n3\n", "times.csv:3: time_s is not a number"),
+        ("time_s\n0\nx\n2\n3\n", "times.csv, line 3: time_s is 'x', not a number"),
         ("seconds\n0\n1\n2\n3\n", "no column time_s"),
         ("", "is empty"),
     ):

@@ -26,6 +26,7 @@ from onebend.records import (
     Remark,
     Stated,
     StatedSection,
+    ToolTrack,
 )
 from onebend.results.observations_file import (
     fields_from,
@@ -108,6 +109,7 @@ def full() -> Observations:
         by_camera=rng.normal(size=(frames, len(made.marker_s), 3, 7)),
         sd_known=False,
         traced=np.arange(len(made.marker_s)) > 1,
+        tool=ToolTrack(np.arange(4.0), rng.random(4), rng.random(4), rng.random((4, 2))),
         readings=Readings("x", 2, 1 / 7),
         static=True,
         poses=BenchPoses(

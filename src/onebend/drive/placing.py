@@ -236,8 +236,4 @@ def _tool_tags(rec: Recording, made: Observations, tag: int) -> tuple[Array, Arr
 
 def _cross(arms: Array) -> Array:
     """(..., 3, 3): `_cross(a) @ b` is a x b."""
-    x, y, z = np.moveaxis(np.asarray(arms), -1, 0)
-    zero = np.zeros_like(x)
-    return np.stack(
-        [np.stack([zero, -z, y], axis=-1), np.stack([z, zero, -x], axis=-1), np.stack([-y, x, zero], axis=-1)], axis=-2
-    )
+    return np.asarray(np.cross(np.eye(3), np.asarray(arms)[..., None, :]))

@@ -80,7 +80,8 @@ def _facts(rod: RodSample) -> list[tuple[str, str]]:
     if rod.stretches:
         stretch, shear = rod.axial(_LINE)
         (low, high), _ = axial_bands(rod, _LINE).values()
-        band = f"; 95 %: {low.min():.3g} to {high.max():.3g} N" if np.isfinite(low).all() else ""
+        end = f"to {high.max():.3g} N" if np.isfinite(high).all() else "N or more"  # it may not stretch at all
+        band = f"; 95 %: {low.min():.3g} {end}" if np.isfinite(low).all() else ""
         facts += [("EA", f"{stretch.min():.3g} to {stretch.max():.3g} N{band}")]
         facts += [("kGA", f"{shear.min():.3g} to {shear.max():.3g} N")]
     if rod.damping_time is not None:

@@ -15,6 +15,7 @@ from typing import Any
 import av
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
+from scipy.interpolate import CubicSpline
 
 from onebend.beam.continuation import equilibrium
 from onebend.beam.dynamics import Actions, AppliedForce, body
@@ -108,24 +109,9 @@ class BeamShapes:
 
     def at(self, s: Array) -> tuple[Array, Array]:
         """(T, m, 2) m and (T, m) rad at `s` (m,), cubic between `PLACES`."""
-        from_left = np.clip(s, 0.0, 1.0)
-        xy = np.stack([cubic(self.xy[..., i], from_left) for i in range(2)], axis=-1)
-        return xy, cubic(self.angle, from_left)
-
-
-def cubic(values: Array, s: Array) -> Array:
-    """(T, m) at `s` (m,) from (T, 121) at `PLACES`: Lagrange cubic of the four nearest."""
-    spacing = PLACES[1] - PLACES[0]
-    first = np.clip(np.floor(s / spacing).astype(int) - 1, 0, len(PLACES) - 4)
-    u = s / spacing - first
-    total = np.zeros((len(values), len(s)))
-    for i in range(4):
-        weight_of = np.ones(len(s))
-        for j in range(4):
-            if j != i:
-                weight_of = weight_of * (u - j) / (i - j)
-        total += weight_of * values[:, first + i]
-    return total
+        inside = np.clip(s, 0.0, 1.0)
+        xy, angle = (CubicSpline(PLACES, values, axis=1)(inside) for values in (self.xy, self.angle))
+        return np.asarray(xy), np.asarray(angle)
 
 
 def shapes_at(beam: Beam, pushing: PushProfile, time: Array, motive: MotionSettings = MotionSettings()) -> BeamShapes:

@@ -16,6 +16,7 @@ from onebend.beam.sensitivity import of_mass
 from onebend.beam.stiffness import Profile, RectangularSection, Uniform
 from onebend.errors import LearningError
 from onebend.learning.frames import push_places
+from onebend.recording.camera import camera_place
 from onebend.records import Array, BoolArray, Observations, PointMass, View, tags_among
 
 # Where an allowance enters the model, and what its `basis` is there. F frames, Q nodes, m tags, n parameters:
@@ -431,12 +432,6 @@ HEIGHT_SD = 2e-3  # m, of each tag over the plane of all
 READOUT_SD = 0.015  # s, from the picture's first row to its last
 _STEP = 1e-4  # m, to either side of a place, for the slope of a row
 _SMALL = np.finfo(float).tiny
-
-
-def camera_place(view: View) -> tuple[Array, float]:
-    """(2,) m foot of the camera in the plane of the tags, and its distance from the plane [m]."""
-    place = -view.rotation.T @ view.translation
-    return np.asarray(place[:2]), float(abs(place[2]))
 
 
 def heights(observations: Observations, measured: Array) -> Allowance:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import solve_triangular, toeplitz
 from scipy.linalg.lapack import dtpqrt
 
-from onebend.recording.force_noise import displacement, load_changes, own_time
+from onebend.recording.force_noise import LOAD, displacement, load_changes, own_time
 from onebend.recording.signals import low_pass, low_pass_power
 from onebend.records import Array, CleanForce, ForceNoise, IntArray, Observations
 
@@ -28,7 +28,6 @@ _SPACING = 0.25  # of the period of the cut-off: half of Nyquist's
 _GRAIN = 0.03  # of the coloured part's variance: free from knot to knot, so that it can be inverted
 _PANEL = 8  # columns that LAPACK takes together where it adds rows to a QR factor
 _FINE = 4  # steps between knots, where the load's error is filtered
-LOAD = 0.03  # of the largest force: expected sd of what comes with the load
 _LEAST = 1e-7  # of the largest force: least noise, for rounding
 _UNKNOWN_NOISE = 0.02  # of the largest force, where the log's noise was never found
 

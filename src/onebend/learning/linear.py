@@ -564,9 +564,36 @@ def _rest_sd(error: ForceError) -> float:
     return _REST_SHARE * error.size
 
 
+def tool_rows(data: FitData, layout: Layout) -> tuple[Array, Array]:
+    """(P, C) of the place of the push with the parameters, and (P,) where the film shows the tool, over their sds."""
+    tool, count = data.observations.tool, len(layout.known_to(data.number))
+    if tool is None or layout.columns("place", data.number) is None:
+        return np.zeros((0, count)), np.zeros(0)
+    time, length = data.observations.time[data.frames], data.observations.length
+    rows = np.zeros((len(tool.time), count))
+    rows[:, layout.columns("place", data.number)] = 1.0 / length
+    for one in data.entering("place"):
+        where = layout.columns(one.name, data.number)
+        if where is not None:
+            basis = one.basis[: len(time)].T / length
+            rows[:, where] = np.stack([np.interp(tool.time, time, of_one) for of_one in basis], axis=1)
+    root = np.linalg.cholesky(np.diag(tool.sd**2) + tool.effects @ tool.effects.T)
+    away = tool.s - np.interp(tool.time, time, data.push_s[: len(time)])
+    white = solve_triangular(root, np.column_stack([rows, away]), lower=True)
+    return white[:, :-1], white[:, -1]
+
+
+def tool_residuals(data: FitData, layout: Layout, x: Array) -> Array:
+    """(P,) of the place of the push at parameters x (P,), over its sd in the film."""
+    rows, away = tool_rows(data, layout)
+    return np.asarray(away - rows @ x[layout.known_to(data.number)])
+
+
 def own_information(problem: FitProblem, number: int, x: Array) -> list[InformationForm]:
-    """Log likelihoods of one recording besides its tags, at parameters x (P,): rests and natural frequencies."""
+    """Log likelihoods of one recording besides its tags, at parameters x (P,): rests, tool and natural frequencies."""
     known, out = problem.layout.known_to(number), [rest_information(problem, number)]
+    rows, away = tool_rows(problem.recordings[number], problem.layout)
+    out.append(InformationForm(rows.T @ rows, rows.T @ away, float(away @ away)))
     for predicted in problem.predicted_frequencies(x, number):
         j = predicted.slopes[:, known] / predicted.data.sd[:, None]
         y = predicted.residuals + j @ x[known]
@@ -578,7 +605,7 @@ def own_information(problem: FitProblem, number: int, x: Array) -> list[Informat
 def recording_information(
     problem: FitProblem, number: int, rows: ResidualRows, x: Array, noise: RecordingNoise
 ) -> InformationForm:
-    """Log likelihood of one recording's tags, rests and frequencies."""
+    """Log likelihood of one recording's tags, rests, tool and frequencies."""
     return total([tag_information(rows, problem.layout, number, x, noise), *own_information(problem, number, x)])
 
 

@@ -47,6 +47,8 @@ from onebend.learning.linear import (
     solved,
     split_off_force,
     tag_score,
+    tool_residuals,
+    tool_rows,
 )
 from onebend.learning.normal import InformationForm, JointCovariance
 from onebend.learning.parameters import Layout, Priors, Spline, known_shape, make_layout
@@ -133,7 +135,9 @@ class _Linearised:
         gradient, layout = np.zeros(len(x)), self.problem.layout
         every = zip(self.problem.recordings, self.rows, r, self.estimate.hyperparameters.noise, strict=True)
         for data, rows, residual, noise in every:
-            gradient[layout.known_to(data.number)] += tag_score(rows, residual, noise) + rest_score(data, layout, x)
+            known, by_tool = layout.known_to(data.number), tool_rows(data, layout)[0]
+            gradient[known] += tag_score(rows, residual, noise) + rest_score(data, layout, x)
+            gradient[known] += by_tool.T @ tool_residuals(data, layout, x)
         if self.problem.frequencies:
             for slopes, there in zip(self.frequency_slopes, self.problem.predicted_frequencies(x), strict=True):
                 gradient += slopes.T @ there.residuals
@@ -155,8 +159,8 @@ class _Linearised:
         every = zip(self.rows, estimate.predictions, estimate.hyperparameters.noise, strict=True)
         tags = sum(_misfit(rows.root_weight * residuals(p), p.own, noise) for rows, p, noise in every)
         z = self.before.whiten(x)
-        rests = sum(float(np.sum(rest_residuals(one, layout, x) ** 2)) for one in self.problem.recordings)
-        return float(tags + swings + z @ z + rests)
+        beside = [of(one, layout, x) for one in self.problem.recordings for of in (rest_residuals, tool_residuals)]
+        return float(tags + swings + z @ z + sum(float(np.sum(one**2)) for one in beside))
 
 
 def all_converged(predictions: Sequence[Prediction]) -> bool:

@@ -12,11 +12,11 @@ from scipy.linalg.lapack import dpotrf, dpotrs, dpstrf, dtrtrs
 from onebend.errors import LearningError
 from onebend.learning import normal
 from onebend.learning.allowances import LIVE_ALLOWANCES
-from onebend.learning.force_error import LOAD
 from onebend.learning.hyperparameters import CHOSEN, SPREAD
 from onebend.learning.normal import RHO, SPREAD as PRIOR_SPREAD, STEP_DIRECTIONS, TAU, WIDE_SHARE, InformationForm
 from onebend.learning.parameters import Priors, Spline
 from onebend.live.posterior import KeyFramePosterior, LiveHyperparameters
+from onebend.recording.force_noise import LOAD
 from onebend.records import Array, ForceNoise
 
 # A search for the most probable hyperparameters of the force error, one trial with every fourth frame. Climbs change

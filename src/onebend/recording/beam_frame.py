@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from onebend.errors import ObservationError, RecordingError
+from onebend.errors import ObservationError
 from onebend.recording.clock import ROUGHLY, reach_of
 from onebend.recording.entries import GravityEntry
 from onebend.recording.signals import LATEST
+from onebend.recording.tables import read_columns
 from onebend.records import Array, BoolArray, ClockOffset, Markers, Remark
-from onebend.text_files import csv_rows
 
 MOUNTING_SD = math.radians(2.0)  # of the base tag against the beam, put on by hand
 BLOCKS = 5  # of the rest; the scatter of their means is part of its covariance
@@ -123,29 +123,13 @@ class BaseLog:
 
 
 def read_base_log(path: Path) -> BaseLog:
-    """The base's angle from a CSV with the columns time_s and base_deg."""
-    time: list[float] = []
-    angle: list[float] = []
-    rows = csv_rows(path, RecordingError)
-    header = [name.strip() for name in next(rows, (1, []))[1]]
-    missing = {"time_s", "base_deg"} - set(header)
-    if missing:
-        raise RecordingError(f"{path}, line 1: no column {', '.join(sorted(missing))}. Name them time_s, base_deg.")
-    places = header.index("time_s"), header.index("base_deg")
-    for line, row in rows:
-        try:
-            t, degrees = (float(row[place]) for place in places)
-        except (IndexError, ValueError):
-            t = degrees = math.nan
-        if not (abs(t) < LATEST and abs(degrees) < 1e6):
-            raise RecordingError(f"{path}, line {line}: not two numbers. Correct or remove the line.")
-        if time and t <= time[-1]:
-            raise RecordingError(f"{path}, line {line}: the time {t:g} s does not rise. Sort the file.")
-        time.append(t)
-        angle.append(math.radians(degrees))
-    if len(time) < 2:
-        raise RecordingError(f"{path} holds {len(time)} rows; at least 2 are needed. Give base_angle_deg instead.")
-    return BaseLog(np.array(time), np.unwrap(angle))
+    """The base's angle from a table with the columns time_s and base_deg."""
+    table = read_columns(path, ("time_s", "base_deg"), kind="table of the base's angle")
+    time, degrees = table.get("time_s"), table.get("base_deg")
+    table.refuse(~((np.abs(time) < LATEST) & (np.abs(degrees) < 1e6)), "not two numbers. Correct or remove the line.")
+    table.refuse(np.diff(time, prepend=-np.inf) <= 0.0, "the time does not rise. Sort the file.")
+    table.refuse(np.full(len(time), len(time) < 2), "at least 2 rows are needed. Give base_angle_deg instead.")
+    return BaseLog(time, np.unwrap(np.radians(degrees)))
 
 
 def base_clock(

@@ -696,6 +696,12 @@ def order_hint(xy: Array, rec: Recording) -> str:
     return f" From the base on they stand in the order {said}, by their s in the order {', '.join(map(str, written))}."
 
 
+def camera_place(view: View) -> tuple[Array, float]:
+    """(2,) m foot of the camera in the plane of the tags, and its distance from the plane [m]."""
+    place = -view.rotation.T @ view.translation
+    return np.asarray(place[:2]), float(abs(place[2]))
+
+
 def view_of(view: View, origin: Array, angle: float) -> View:
     """The same view, of a frame of the plane with its origin at `origin` (2,) [m] and turned by `angle`."""
     cos, sin = np.cos(angle), np.sin(angle)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -12,8 +12,9 @@ import numpy as np
 
 from onebend.errors import ObservationError, RecordingError
 from onebend.recording.signals import LATEST, check_span, false_zeros, held, missing_remarks, runs, step, within_noise
-from onebend.records import Array, ForceLog, Remark
-from onebend.text_files import csv_rows, is_number, listed_columns, quoted
+from onebend.recording.tables import read_columns
+from onebend.records import Array, ForceLog, IntArray, Remark
+from onebend.text_files import is_number
 
 # libfranka's own log of the last commands (franka::logToCSV): joints and commands, no force.
 JOINTS_ONLY = "state.tau_ext_hat_filtered[0]"
@@ -206,19 +207,19 @@ def read_force_log(
     if unit_advice := unit_in_name(columns, time_unit):
         raise RecordingError(f"{path}: {unit_advice}.")
     wanted = [*columns, *([push_column] if push_column else [])]
-    rows = list(numbers(path, wanted))
-    lines, read = [line for line, _ in rows], np.array([values for _, values in rows]).reshape(-1, len(wanted))
+    table = read_columns(path, wanted, kind="force log", advice=lambda header: _advice(header, wanted), endless=True)
+    lines, read = table.rows, np.stack([table.get(name) for name in wanted], axis=1)
     for name, column in zip(wanted, read.T, strict=True):
-        if len(read) and not np.isfinite(column).any():
+        if not np.isfinite(column).any():
             raise RecordingError(f"{path}: the column {name} holds no number in any row. Is it the right one?")
     read[:, 0] *= TIME_UNITS[time_unit]
     refuse_absurd(path, wanted, read, lines)
     full = np.isfinite(read).all(axis=1)
-    check_times(path, read[full, 0], np.array(lines, dtype=int)[full])
+    check_times(path, read[full, 0], lines[full])
     return whole_log(str(path), read)
 
 
-def refuse_absurd(path: Path, wanted: Sequence[str], read: Array, lines: Sequence[int]) -> None:
+def refuse_absurd(path: Path, wanted: Sequence[str], read: Array, lines: IntArray) -> None:
     """Raise where a number of the rows (N, c) is finite, but neither a time nor a force of this world."""
     for i, (name, most) in enumerate(zip(wanted, (LATEST, STRONGEST, STRONGEST, STRONGEST), strict=False)):
         absurd = np.isfinite(read[:, i]) & (np.abs(read[:, i]) > most)
@@ -261,46 +262,17 @@ def whole_log(where: str, read: Array, remarks: tuple[Remark, ...] = ()) -> Forc
     return ForceLog(time=data[:, 0], force=data[:, 1:3], push_s=push_s, remarks=remarks)
 
 
-def numbers(path: Path, wanted: Sequence[str]) -> Iterator[tuple[int, list[float]]]:
-    """Line number and the wanted numbers of every row that is not empty; NaN for an empty cell."""
-    rows = csv_rows(path, RecordingError)
-    header = [name.strip() for name in next(rows, (1, []))[1]]
-    if not header:
-        raise RecordingError(f"{path} is empty. Record the push again, or correct [force] file in recording.toml.")
-    if twice := [name for name in wanted if header.count(name) > 1]:
-        raise RecordingError(f"{path}, line 1: the column {twice[0]} is there twice. Remove or rename one.")
-    if missing := [name for name in wanted if name not in header]:
-        there = listed_columns(path, header)
-        raise RecordingError(
-            f"{path}, line 1: no column {', '.join(missing)}{there and '; '}{there}.{header_hint(header, wanted)} "
-            f"Name the columns with columns in [force], or column in [push], of recording.toml.{franka_hint(header)}"
-        )
-    places = [header.index(name) for name in wanted]
-    for line, row in rows:
-        values = []
-        for name, index in zip(wanted, places, strict=True):
-            cell = row[index].strip() if index < len(row) else ""
-            try:
-                values.append(float(cell) if cell else math.nan)
-            except ValueError:
-                raise RecordingError(
-                    f"{path}, line {line}: {name} is {quoted(cell)}, not a number. Correct or remove the line."
-                ) from None
-        yield line, values
+def _advice(header: list[str], wanted: Sequence[str]) -> str:
+    """What to do about a header that lacks wanted columns."""
+    advice = f"Name the columns with columns in [force], or column in [push], of recording.toml.{franka_hint(header)}"
+    if header and all(is_number(name) for name in header):
+        return f"The first line holds numbers: write the header {','.join(wanted)} above it. {advice}"
+    if header and header[0].startswith("#"):
+        return f"The header must be the first line: remove the lines above it. {advice}"
+    return advice
 
 
-def header_hint(header: Sequence[str], wanted: Sequence[str]) -> str:
-    """The probable mistake of a header that lacks wanted columns: a sentence after a space, or ""."""
-    if len(header) == 1 and set(header[0]) & set(";\t"):
-        return " Columns must be separated by commas, and decimals written with a point."
-    if all(is_number(name) for name in header if name):
-        return f" The first line holds numbers: write the header {','.join(wanted)} above it."
-    if header[0].startswith("#"):
-        return " The header must be the first line: remove the lines above it."
-    return ""
-
-
-def check_times(path: Path, time: Array, lines: Array) -> None:
+def check_times(path: Path, time: Array, lines: IntArray) -> None:
     """Raise where a time falls."""
     wrong = np.flatnonzero(np.diff(time) < 0)
     if not len(wrong):

@@ -24,6 +24,7 @@ BEFORE = 0.03  # of the same: within this of a turning point the load may be rev
 EARLY = 0.1  # s, by which contact may begin before the tags show it
 
 
+LOAD = 0.03  # of the largest force: expected sd of what comes with the load
 ANEW, RELEASED = 2.0, 0.2  # by how much its own time runs on where the load begins or reverses, and where it ends
 
 
@@ -335,6 +336,9 @@ def fit_noise(time: Array, model: LinearModel, start: ForceNoise) -> ForceNoise:
     return likeliest_noise(start, misfit, 120)
 
 
+_FARTHEST = 3.0  # sd of the prior: a log without noise would lead on until rounding is all that is left
+
+
 def likeliest_noise(start: ForceNoise, misfit: Callable[[ForceNoise, float], float], most: int) -> ForceNoise:
     """The noise of least `misfit`, a negative log posterior, in at most so many evaluations.
 
@@ -345,7 +349,7 @@ def likeliest_noise(start: ForceNoise, misfit: Callable[[ForceNoise, float], flo
     centre = np.log(np.array([start.white, start.coloured, start.tau, start.walk]))
 
     def sized(z: Array) -> ForceNoise:
-        white, coloured, tau, walk = np.exp(centre + spread * z).tolist()
+        white, coloured, tau, walk = np.exp(centre + spread * np.clip(z, -_FARTHEST, _FARTHEST)).tolist()
         return replace(start, white=white, coloured=coloured, tau=tau, walk=walk)
 
     simplex = np.vstack([np.zeros(4), 0.4 * np.eye(4)])

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,7 +39,7 @@ class Columns:
         """Raise `RecordingError` with the first row where `wrong` (N,)."""
         if np.any(wrong):
             row = int(self.rows[int(np.argmax(wrong))])
-            raise RecordingError(f"{self.path}, row {row}: {text}")
+            raise RecordingError(f"{_at(self.path, row)}: {text}")
 
 
 def read_columns(
@@ -52,35 +51,44 @@ def read_columns(
     kind: str = "table",
     unknown: Sequence[str] = (),
     strict: bool = False,
+    advice: Callable[[list[str]], str] = lambda _: "Name the columns in the first line as docs/recording.md does.",
+    endless: bool = False,
 ) -> Columns:
     """The columns `needed`, those of `known` that are there, and the text columns `labels` (needed, too).
 
     Other columns are ignored; where `strict`, only those without a number. `kind` names the table in messages. In the
-    columns `unknown` that word may stand for a number, and becomes infinity."""
-    cells, first = _parquet(path) if path.suffix.lower() in (".parquet", ".pq") else _csv(path)
+    columns `unknown` that word may stand for a number, and becomes infinity. `advice` is what to do where a column is
+    missing, by the header; with `endless` an infinite number is none."""
+    cells, rows = _parquet(path) if _is_parquet(path) else _csv(path, (*labels, *needed, *known))
     missing = [name for name in (*labels, *needed) if name not in cells]
     if missing:
         there = listed_columns(path, cells)
         raise RecordingError(
-            f"{path}: the {kind} lacks the column {', '.join(missing)}{there and '; '}{there}. Name the columns in its "
-            "first line as docs/recording.md does."
+            f"{path}, line 1: no column {', '.join(missing)}{there and '; '}{there}. {advice(list(cells))}"
         )
-    count = len(next(iter(cells.values())))
-    if count == 0:
+    if not len(rows):
         raise RecordingError(f"{path}: the {kind} has no rows. Was it cut short?")
     if strict:
         _refuse_others(path, cells, (*labels, *needed, *known), kind)
-    rows = np.arange(first, first + count)
     wanted = [name for name in (*needed, *known) if name in cells]
-    numbers = {name: _numbers(path, name, cells[name], rows, name in unknown) for name in wanted}
+    numbers = {name: _numbers(path, name, cells[name], rows, name in unknown, endless) for name in wanted}
     return Columns(path, rows, numbers, {name: tuple(str(cell).strip() for cell in cells[name]) for name in labels})
 
 
 def read_every_column(path: Path, needed: str, *, kind: str = "table") -> Columns:
     """All columns that hold nothing but numbers and empty cells; `needed` must be one of them."""
-    cells, _ = _parquet(path) if path.suffix.lower() in (".parquet", ".pq") else _csv(path)
+    cells, _ = _parquet(path) if _is_parquet(path) else _csv(path)
     good = [name for name, column in cells.items() if all(_is_number(one) or _is_empty(one) for one in column)]
     return read_columns(path, (needed,), [name for name in good if name != needed], kind=kind)
+
+
+def _is_parquet(path: Path) -> bool:
+    return path.suffix.lower() in (".parquet", ".pq")
+
+
+def _at(path: Path, row: int) -> str:
+    """The place of a row of a table, for messages."""
+    return f"{path}, {'row' if _is_parquet(path) else 'line'} {row}"
 
 
 def _is_empty(cell: object) -> bool:
@@ -106,20 +114,27 @@ def _is_number(cell: object) -> bool:
         return False
 
 
-def _csv(path: Path) -> tuple[dict[str, Cells], int]:
-    """Cells by column, empty lines left out, and the line of the first row."""
-    lines = [row for _, row in csv_rows(path, RecordingError)]
-    header = [name.strip() for name in lines[0]] if lines else []
-    if len(header) == 1 and header[0].count(";") > 0:
-        raise RecordingError(f"{path}: columns are parted by semicolons. Use commas, and a dot in the numbers.")
-    twice = [name for name, count in Counter(header).items() if name and count > 1]
+def _csv(path: Path, once: Sequence[str] = ()) -> tuple[dict[str, Cells], IntArray]:
+    """Cells by column, empty lines left out, and the line of each row; the columns `once` must not stand twice."""
+    lines, rows = [], []
+    for line, row in csv_rows(path, RecordingError):
+        lines.append(line)
+        rows.append(row)
+    if not rows:
+        raise RecordingError(f"{path} is empty. Write it anew, or correct its name.")
+    header = [name.strip() for name in rows[0]]
+    if len(header) == 1 and set(header[0]) & set(";\t"):
+        raise RecordingError(
+            f"{path}, line 1: columns must be separated by commas, and decimals written with a point; no semicolons."
+        )
+    twice = [name for name in once if header.count(name) > 1]
     if twice:
-        raise RecordingError(f"{path}: the column {quoted(twice[0])} is there twice. Remove one.")
-    body = [row + [""] * (len(header) - len(row)) for row in lines[1:]]
-    return {name: [row[i] for row in body] for i, name in enumerate(header) if name}, 2
+        raise RecordingError(f"{path}, line 1: the column {quoted(twice[0])} is there twice. Remove or rename one.")
+    body = [row + [""] * (len(header) - len(row)) for row in rows[1:]]
+    return {name: [row[i] for row in body] for i, name in enumerate(header) if name}, np.array(lines[1:], dtype=int)
 
 
-def _parquet(path: Path) -> tuple[dict[str, Cells], int]:
+def _parquet(path: Path) -> tuple[dict[str, Cells], IntArray]:
     import pyarrow as pa  # here: most tables are CSV, and Arrow takes a tenth of a second to load
     import pyarrow.parquet as pq
 
@@ -144,7 +159,7 @@ def _parquet(path: Path) -> tuple[dict[str, Cells], int]:
             _refuse_long_words(path, name, table[name])
     except (pa.ArrowException, OSError) as wrong:
         raise RecordingError(f"{path} cannot be read as Parquet ({wrong}). Export it anew, or as CSV.") from None
-    return {name: _cells(table[name]) for name in table.column_names}, 1
+    return {name: _cells(table[name]) for name in table.column_names}, np.arange(1, table.num_rows + 1)
 
 
 def _cells(column: Any) -> Cells:
@@ -164,7 +179,7 @@ def _refuse_long_words(path: Path, name: str, column: Any) -> None:
             raise RecordingError(f"{path}: a cell of {name} has more than {LONGEST_WORD} characters.")
 
 
-def _numbers(path: Path, name: str, cells: Cells, rows: IntArray, unknown: bool) -> Array:
+def _numbers(path: Path, name: str, cells: Cells, rows: IntArray, unknown: bool, endless: bool) -> Array:
     numbers = np.full(len(cells), np.nan) if isinstance(cells, list) else cells.astype(float)
     words = np.zeros(len(cells), dtype=bool)  # cells that say that a number is unknown
     for i, cell in enumerate(cells if isinstance(cells, list) else ()):
@@ -176,9 +191,11 @@ def _numbers(path: Path, name: str, cells: Cells, rows: IntArray, unknown: bool)
             numbers[i] = np.nan if words[i] else float(word)  # type: ignore[arg-type]
         except (TypeError, ValueError):
             raise RecordingError(
-                f"{path}, row {rows[i]}: {name} is {quoted(cell)}, not a number. Correct it, or leave the cell empty."
+                f"{_at(path, rows[i])}: {name} is {quoted(cell)}, not a number. Correct it, or leave the cell empty."
             ) from None
-    if (endless := np.abs(numbers) > LARGEST).any():
-        where = f"{path}, row {rows[int(np.argmax(endless))]}: {name}"
+    if endless:
+        numbers[np.isinf(numbers)] = np.nan
+    elif (huge := np.abs(numbers) > LARGEST).any():
+        where = f"{_at(path, rows[int(np.argmax(huge))])}: {name}"
         raise RecordingError(f"{where} is infinite, or beyond {LARGEST:g}. Leave it empty where unknown.")
     return np.where(words, np.inf, numbers)

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import binary_closing, map_coordinates, uniform_filter
 
-from onebend.recording.camera import project
+from onebend.recording.camera import camera_place, project
 from onebend.recording.entries import Recording
 from onebend.recording.signals import from_clamp
+from onebend.recording.tool_edges import ToolStrip, contacts
 from onebend.recording.video import KeptFrames, Picture, pictures_at
 from onebend.records import (
     Array,
@@ -24,6 +25,7 @@ from onebend.records import (
     Markers,
     Observations,
     Remark,
+    ToolTrack,
     View,
     of_markers,
     read_before_fit,
@@ -148,9 +150,10 @@ class Meeting:
     """Where a strip meets the beam."""
 
     s: float
-    sd: float  # of s: the place at which the tool touches may be anywhere on the strip's end
     left: bool  # of the beam
     width: float  # m, along the beam
+    flank: float  # m, from the beam's axis
+    slope: float  # of its middle line: along the beam over outward
 
 
 def meetings(covered: BoolArray, grid: SideGrid, reach: float) -> list[Meeting]:
@@ -164,10 +167,11 @@ def meetings(covered: BoolArray, grid: SideGrid, reach: float) -> list[Meeting]:
             far = float(np.max(np.abs(grid.across[strip.rows])))
             if far < reach or len(strip.rows) * grid.step < LEAST * grid.length:
                 continue
-            found, slope = _meeting(strip, grid)
+            found = _meeting(strip, grid)
             # Of the length: a wider strip does not say where it touches.
             # A strip that lies along the beam does not say where it touches, either.
-            if found.width <= 0.25 * grid.length and slope <= 1.0 and _on_beam(closed, found.s, strip, grid):
+            steep = abs(found.slope) > 1.0
+            if found.width <= 0.25 * grid.length and not steep and _on_beam(closed, found.s, strip, grid):
                 out.append(found)
     return out
 
@@ -220,26 +224,18 @@ def runs_in_rows(mask: BoolArray) -> list[list[tuple[int, int]]]:
     return out
 
 
-def _meeting(strip: Strip, grid: SideGrid) -> tuple[Meeting, float]:
-    """Its middle line, drawn on straight to the flank, and how steep that is (along over across)."""
+def _meeting(strip: Strip, grid: SideGrid) -> Meeting:
+    """Where its middle line, drawn on straight, meets the flank."""
     # Of the length: the strip's last part, which tells where it meets the beam.
     count = max(2, round(0.08 * grid.length / grid.step))
     first, last = strip.first[-count:], strip.last[-count:]
     middle = 0.5 * (grid.s[first] + grid.s[last - 1])
-    out = grid.across[strip.rows[-count:]] - grid.across[strip.flank]
+    flank = abs(float(grid.across[strip.flank]))
+    out = np.abs(grid.across[strip.rows[-count:]]) - flank
     slope, place = (0.0, float(middle[-1])) if len(out) < 2 else np.polyfit(out, middle, 1)
-    scatter = float(np.std(middle - (place + slope * out)))
     width = float(np.median(last - first)) * grid.step
-    steep = abs(float(slope)) * grid.length
-    touch = width / grid.length / sqrt(12.0)
-    meeting = Meeting(
-        s=float(place),
-        # Of the length: the beam's shadow may hide its flank by so much.
-        sd=float(np.linalg.norm([scatter, touch, steep * 0.02])),
-        left=strip.flank > len(grid.across) // 2,
-        width=width,
-    )
-    return meeting, steep
+    left = strip.flank > len(grid.across) // 2
+    return Meeting(float(place), left, width, flank, float(slope) * grid.length)
 
 
 FEWEST_LOADED, FEWEST_AT_REST = 8, 3
@@ -251,11 +247,12 @@ class ToolPlace:
     """The place at which a tool touches the beam, by the pictures alone."""
 
     s: float  # NaN where it is not seen
-    sd: float  # of s: from the tool's width, within which it may touch anywhere, and how well it is followed
-    width: float  # m, of the tool along the beam, shadow included
+    sd: float  # of s, of the mean over the frames
+    width: float  # m, of the tool
     left: bool  # of the beam
     shown: float  # share of the loaded frames in which it is there
     why: str  # why it is not seen; "" where it is
+    track: ToolTrack | None = None  # frame by frame
 
     @property
     def seen(self) -> bool:
@@ -274,9 +271,17 @@ def not_seen(why: str) -> ToolPlace:
 
 
 def tool_place(
-    pictures: Pictures, factor: int, markers: Markers, loaded: BoolArray, *, length: float, tag_size: float
+    pictures: Pictures,
+    factor: int,
+    markers: Markers,
+    loaded: BoolArray,
+    *,
+    length: float,
+    tag_size: float,
+    sharp: Sequence[Picture] | None = None,
 ) -> ToolPlace:
-    """Where the tool is that pushes a beam of `length` [m], by `pictures` (P, h, w) shrunk by `factor`.
+    """Where the tool is that pushes a beam of `length` [m], by `pictures` (P, h, w) shrunk by `factor`, and by the same
+    in full size, `sharp`, where they are there.
 
     A tool lies against the beam's flank at one place in most of the loaded pictures, reaches farther out than tags (of
     side `tag_size` [m]) and their paper, is off the beam in some pictures at rest, and is alone. If not, it is not
@@ -300,10 +305,19 @@ def tool_place(
     reach = 0.625 * sqrt(2.0) * tag_size + LEAST * length
     # sds of the background's noise: a pixel that is farther off shows something else.
     covered = np.asarray(beside > 5.0)
-    found = place_of([meetings(one, grid, reach) for one in covered], pushed)
-    if found.seen and _shows_beam(covered[~pushed], found.s, grid).sum() < FEWEST_AT_REST:
+    each = [meetings(one, grid, reach) for one in covered]
+    found = place_of(each, pushed, length)
+    if not found.seen:
+        return found
+    if _shows_beam(covered[~pushed], found.s, grid).sum() < FEWEST_AT_REST:
         return not_seen("the beam at rest is taken for the background")
-    return found
+    own = {row: _at([one], found.left, found.s) for row, one in enumerate(each) if pushed[row]}
+    rows, whole = [row for row, one in own.items() if one], (pictures if sharp is None else np.stack([*sharp]))[good]
+    size = factor if sharp is None else 1
+    strips = [_strip(whole[i], size, markers.view, own[i][0], (centre[i], normal[i]), grid) for i in rows]
+    background = np.sort(whole, axis=0)[len(whole) // 2].astype(np.float32)
+    s = np.array([own[row][0].s for row in rows])
+    return _followed(found, s, markers.time[good][rows], strips, background, grid)
 
 
 def _shows_beam(covered: BoolArray, s: float, grid: SideGrid) -> BoolArray:
@@ -334,10 +348,11 @@ def far_ones(xy: Array, pushed: BoolArray) -> BoolArray:
     return np.asarray(pushed & (away >= np.median(away[pushed])))
 
 
-def place_of(found: Sequence[Sequence[Meeting]], pushed: BoolArray) -> ToolPlace:
-    """The one place at which most of the loaded pictures show a thing against the beam.
+def place_of(found: Sequence[Sequence[Meeting]], pushed: BoolArray, length: float) -> ToolPlace:
+    """The one place at which most of the loaded pictures show a thing against the beam of this `length` [m].
 
-    `found` are the meetings in each picture, `pushed` (P,) whether the beam is loaded in it.
+    `found` are the meetings in each picture, `pushed` (P,) whether the beam is loaded in it. The tool touches anywhere
+    on the width that is seen, and the same in all pictures.
     """
     loaded = [one for one, now in zip(found, pushed, strict=True) if now]
     every = [(meeting.left, meeting.s) for one in loaded for meeting in one]
@@ -359,7 +374,9 @@ def place_of(found: Sequence[Sequence[Meeting]], pushed: BoolArray) -> ToolPlace
     # In 15 % of the frames at rest the tool must be off the beam, or it may be fixed to it.
     if len(_at(resting, left, s)) > 0.85 * len(resting):
         return not_seen(f"what lies against the beam at s = {s:.2g} is there at rest too")
-    return _weighed(own, shown)
+    width = float(np.median([one.width for one in own]))
+    sd = float(np.hypot(width / length / sqrt(12.0), 1.4826 * np.median([abs(one.s - s) for one in own])))
+    return ToolPlace(min(s, 1.0), sd, width, left, shown, "")
 
 
 def _at(found: Sequence[Sequence[Meeting]], left: bool, s: float) -> list[Meeting]:
@@ -368,20 +385,48 @@ def _at(found: Sequence[Sequence[Meeting]], left: bool, s: float) -> list[Meetin
     return [min(one, key=lambda other: abs(other.s - s)) for one in near if one]
 
 
-def _weighed(own: Sequence[Meeting], shown: float) -> ToolPlace:
-    """The mean. Where on the tool's end it touches is the same in all pictures and does not average out."""
-    s: Array = np.array([one.s for one in own])
-    weight = np.array([one.sd for one in own]) ** -2.0
-    mean = float(np.sum(weight * s) / weight.sum())
-    scatter = float(np.sum(weight * (s - mean) ** 2) / weight.sum())
-    return ToolPlace(
-        s=min(mean, 1.0),
-        sd=sqrt(1.0 / float(weight.mean()) + scatter),
-        width=float(np.median([one.width for one in own])),
-        left=own[0].left,
-        shown=shown,
-        why="",
-    )
+FREEDOM = 4.0  # degrees of freedom of Student's t
+TOUCH = 1.0 / 8.0  # of the width: one sd of the place at which it touches about the middle of its end
+ROLLS = TOUCH  # of the width, per rad that the beam turns: by so much that place may move
+LIFTED = 0.5  # of the width: one sd of the height over the tags' plane at which the tool is seen
+
+
+def _strip(
+    picture: NDArray[np.generic], factor: int, view: View, at: Meeting, axis: tuple[Array, Array], grid: SideGrid
+) -> ToolStrip:
+    """A tool in one picture; `axis`: points (S, 2) m and left normals (S, 2), as `axes_of`."""
+    centre, left = (np.array([np.interp(at.s, grid.s, each[:, c]) for c in range(2)]) for each in axis)
+    angle = np.unwrap(np.arctan2(-axis[1][:, 0], axis[1][:, 1]))
+    side = 1.0 if at.left else -1.0
+    bend = side * float(np.interp(at.s, grid.s, np.gradient(angle, grid.s * grid.length)))
+    tangent = np.array([left[1], -left[0]])
+    return ToolStrip(picture.astype(np.float32), factor, view, centre, tangent, side * left, at.flank, at.slope, bend)
+
+
+def _followed(
+    found: ToolPlace, s: Array, time: Array, strips: Sequence[ToolStrip], background: Pictures, grid: SideGrid
+) -> ToolPlace:
+    """The place by the tool's edges in the pictures of these `strips`, near `s` (P,); as found, where too few show
+    them. Where on its end the tool touches, and how high over the tags' plane it is seen, does not average out."""
+    touch = contacts(strips, background, grid.length, found.width)
+    s = s + touch.along / grid.length
+    middle = float(np.median(s[touch.clear])) if touch.clear.any() else nan
+    clear = touch.clear & (np.abs(s - middle) <= TOGETHER)
+    if clear.sum() < FEWEST_LOADED:
+        return found
+    foot, distance = camera_place(strips[0].view)
+    tangent = np.array([strip.tangent for strip in strips])[clear]
+    away = np.sum((np.array([strip.origin for strip in strips])[clear] - foot) * tangent, axis=1)
+    turn = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
+    turn -= turn.mean()
+    effects = np.stack([np.full(len(turn), TOUCH), ROLLS * turn, LIFTED * away / distance], axis=1)
+    effects *= touch.width / grid.length
+    s = s[clear]
+    scatter = 1.4826 * float(np.median(np.abs(s - np.polyval(np.polyfit(turn, s, 1), turn))))
+    sd = max(scatter, 0.5 * grid.step / grid.length)
+    whole = float(np.hypot(sd / sqrt(len(s)), np.linalg.norm(effects.mean(axis=0))))
+    track = ToolTrack(time[clear], s, np.full(len(s), sd), effects)
+    return replace(found, s=min(middle, 1.0), sd=whole, width=touch.width, track=track)
 
 
 LOADED, AT_REST = 24, 8  # frames of each that are looked at; half of them are enough where these are kept
@@ -410,7 +455,22 @@ def tool_checked(rec: Recording, seen: Observations, base_angle: Array, find: Fi
     tool = find(of_markers(markers, read_before_fit(seen)), seen.loaded, seen.frame)
     remarks, where_stated = tool_remarks(tool, rec), tool.seen and not _tool_elsewhere(tool, rec)
     source = replace(seen.source, remarks=(*seen.source.remarks, *remarks), place_seen=where_stated)
-    return replace(seen, source=source)
+    track = _doubted(tool, rec) if where_stated else None
+    return replace(seen, source=source, tool=track)
+
+
+def _doubted(tool: ToolPlace, rec: Recording) -> ToolTrack | None:
+    """What is seen frame by frame, less certain the farther it is from `at_s` (Student's t)."""
+    if tool.track is None or rec.push is None:
+        return None
+    away = (tool.s - rec.push.at) / np.hypot(tool.sd, _stated_sd(rec))
+    wider = sqrt((FREEDOM + max(away**2, 1.0)) / (FREEDOM + 1.0))
+    return replace(tool.track, sd=wider * tool.track.sd, effects=wider * tool.track.effects)
+
+
+def _stated_sd(rec: Recording) -> float:
+    """Of `at_s`, over the length; the tags tell where s is."""
+    return float(np.hypot(rec.place_sd, rec.tags.placement_sd)) / rec.beam.length
 
 
 def tool_in_film(
@@ -445,7 +505,8 @@ def tool_in(
         return not_seen("there is no film")
     factor = factor or shrink_factor(markers.view, rec.beam.length)
     small = np.stack([shrunk(picture, factor) for picture in pictures])
-    return tool_place(small, factor, markers, loaded, length=rec.beam.length, tag_size=rec.tags.size)
+    size = rec.tags.size
+    return tool_place(small, factor, markers, loaded, length=rec.beam.length, tag_size=size, sharp=pictures)
 
 
 def tool_in_small(small: SmallPictures, rec: Recording, markers: Markers, loaded: BoolArray, time: Array) -> ToolPlace:
@@ -494,9 +555,8 @@ def _tool_elsewhere(tool: ToolPlace, rec: Recording) -> bool:
     """Whether the tool is seen farther from `at_s` than both tolerances allow."""
     if not tool.seen or rec.push is None or isnan(rec.push.at):
         return False
-    stated_sd = np.hypot(rec.place_sd, rec.tags.placement_sd) / rec.beam.length  # the tags tell where s is
     # sds, of what is seen and what is stated together: farther apart they disagree.
-    return bool(abs(tool.s - rec.push.at) > 3.0 * np.hypot(tool.sd, stated_sd))
+    return bool(abs(tool.s - rec.push.at) > 3.0 * np.hypot(tool.sd, _stated_sd(rec)))
 
 
 # Small pictures of a stream. Which frames are of the push is known only when it is over. So some frames are kept that

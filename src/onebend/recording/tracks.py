@@ -177,7 +177,7 @@ def track_markers(rec: Recording, settings: ContactSettings = ContactSettings())
     covariance = np.zeros((*in_base.shape[:2], 3, 3))
     covariance[..., 0, 0] = covariance[..., 1, 1] = tracks.sd[:, base:] ** 2
     angle = unwrap(tracks.angle[:, base:] - turn[:, None] - np.array([tag.turn for tag in rec.tags.on_beam]))
-    covariance[..., 2, 2] = _angle_sd(angle) ** 2
+    covariance[..., 2, 2] = _noise(angle, LEAST_ANGLE_SD, UNKNOWN_ANGLE_SD) ** 2
     covariance[~np.isfinite(in_base).all(axis=-1)] = np.nan
     raw = Markers(
         time=tracks.time,
@@ -237,7 +237,7 @@ def read_tracks(rec: Recording) -> Tracks:
         time=times,
         xy=xy,
         angle=grids["angle_rad"],
-        sd=np.where(np.isfinite(sd), sd, _track_sd(xy)),
+        sd=np.where(np.isfinite(sd), sd, _noise(xy, LEAST_SD, LEAST_SD)),
         clamp=plane.lay(np.array(entry.clamp)) if entry.clamp else None,
         x_axis=plane.axes @ np.array(entry.x_axis) if entry.x_axis else None,
         remarks=tuple(remarks[0 if strangers else 1 :]) + _gaps(xy, wanted),
@@ -331,21 +331,12 @@ def line_frame(name: str, along: Array, points: Array, direction: float | None) 
     return np.asarray(np.mean(points - along[:, None] * unit, axis=0)), direction
 
 
-def _track_sd(xy: Array) -> Array:
-    """(b + m,) m: noise of a coordinate, from second differences of the tracks."""
-    bends = np.abs(np.diff(xy, n=2, axis=0)) / math.sqrt(6)
-    with_data = np.isfinite(bends).any(axis=(0, 2))
-    sd = np.full(xy.shape[1], LEAST_SD)
-    sd[with_data] = MAD_TO_SD * np.nanmedian(bends[:, with_data], axis=(0, 2))
-    return np.asarray(np.maximum(sd, LEAST_SD))
-
-
-def _angle_sd(angle: Array) -> Array:
-    """(m,) rad: the same for angles; "unknown" where a marker has none."""
-    bends = np.abs(np.diff(angle, n=2, axis=0)) / math.sqrt(6)
-    sd = np.full(angle.shape[1], UNKNOWN_ANGLE_SD)
-    known = np.isfinite(bends).any(axis=0)
-    sd[known] = np.maximum(MAD_TO_SD * np.nanmedian(bends[:, known], axis=0), LEAST_ANGLE_SD)
+def _noise(values: Array, least: float, unknown: float) -> Array:
+    """(n,) one sd of the noise of tracks (T, n, ...), from second differences; `unknown` where there are none."""
+    bends = np.abs(np.diff(values.reshape(*values.shape[:2], -1), n=2, axis=0)) / math.sqrt(6)
+    known = np.isfinite(bends).any(axis=(0, 2))
+    sd = np.full(values.shape[1], unknown)
+    sd[known] = np.maximum(MAD_TO_SD * np.nanmedian(bends[:, known], axis=(0, 2)), least)
     return sd
 
 

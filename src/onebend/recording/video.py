@@ -17,8 +17,8 @@ from onebend.errors import RecordingError
 from onebend.recording.bag_topics import bag_frames, bag_topic, picture_of
 from onebend.recording.entries import VideoEntry
 from onebend.recording.signals import LATEST, missing_remarks
+from onebend.recording.tables import read_columns
 from onebend.records import Array, IntArray, Remark
-from onebend.text_files import csv_rows, quoted
 
 Picture = NDArray[np.uint8]
 Keep = Callable[[VideoEntry, int, av.VideoFrame], None]
@@ -143,23 +143,11 @@ def rate_remarks(video: VideoEntry, time: Array) -> tuple[Remark, ...]:
 
 
 def read_times(path: Path) -> Array:
-    """The column `time_s` of a CSV file, (T,) s."""
-    rows = csv_rows(path, RecordingError)
-    names = [name.strip() for name in next(rows, (1, []))[1]]
-    if "time_s" not in names:
-        raise RecordingError(f"{path}:1: no column time_s. Write it in the first row, one time a frame below it.")
-    column = names.index("time_s")
-    times = []
-    for line, cells in rows:
-        cell = cells[column] if column < len(cells) else ""
-        try:
-            value = float(cell)
-        except ValueError:
-            value = math.nan
-        if not abs(value) < LATEST:
-            raise RecordingError(f"{path}:{line}: time_s is not a number: {quoted(cell)}. Correct the row.")
-        times.append(value)
-    return np.array(times)
+    """The column `time_s` of a table, (T,) s."""
+    table = read_columns(path, ("time_s",), kind="table of frame times")
+    time = table.get("time_s")
+    table.refuse(~(np.abs(time) < LATEST), "time_s is empty or no time. Correct the row.")
+    return time
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from onebend.beam.stiffness import Powers, Uniform
 from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.bench import PushProfile
 from onebend.lab.designs import DESIGNS
-from onebend.lab.filming import PLACES, MotionSettings, as_printed, cubic, outlines, placed, shapes_at
+from onebend.lab.filming import PLACES, BeamShapes, MotionSettings, as_printed, outlines, placed, shapes_at
 from onebend.lab.random_bench import FilmRequest, filming_of, random_bench, random_tags
 from onebend.lab.rendering import LINES, Camera, PixelBox, all_seen, box_around, coverage, view_from
 from onebend.lab.virtual import VirtualBench, VirtualTag, tag_places, tag_poses
@@ -125,7 +125,10 @@ def test_a_printer_sets_edges_on_its_grid_and_cells_stay_neighbours(tag: int, ph
 def test_interpolation_is_exact_for_cubics() -> None:
     s = np.array([0.0, 0.004, 0.333, 0.5, 0.999, 1.0])
     values = np.stack([PLACES**3 - PLACES, 2.0 * PLACES**2])
-    np.testing.assert_allclose(cubic(values, s), np.stack([s**3 - s, 2.0 * s**2]), atol=1e-13)
+    shapes = BeamShapes(np.zeros(2), np.zeros((2, 2)), np.stack([values, -values], axis=-1), values)
+    xy, angle = shapes.at(s)
+    np.testing.assert_allclose(angle, np.stack([s**3 - s, 2.0 * s**2]), atol=1e-13)
+    np.testing.assert_allclose(xy, np.stack([angle, -angle], axis=-1), atol=1e-13)
 
 
 def test_a_slow_push_shows_exact_equilibria() -> None:

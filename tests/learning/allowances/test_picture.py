@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.learning.allowances import camera as camera_unknowns, camera_place, heights, rolling_shutter
+from onebend.learning.allowances import camera as camera_unknowns, heights, rolling_shutter
+from onebend.recording.camera import camera_place
 from onebend.records import Array, Observations, View
 from tests.learning.allowances.allowed_bench import CAMERA, filmed
 from tests.made_up import with_source

@@ -47,7 +47,7 @@ def test_good_log(tmp_path: Path) -> None:
         (GOOD[:1] + GOOD[:0:-1], ["line 3", "is before", "19 such lines"][:2]),
         (["t,fx,fy", *GOOD[1:]], ["line 1", "time_s, fx_N, fy_N", "found t, fx, fy"]),
         (GOOD[:4], ["3 rows", "at least 10"]),
-        (GOOD[:1], ["0 rows"]),
+        (GOOD[:1], ["no rows"]),
         ([], ["empty"]),
         (GOOD[:1] + [f"{i},0,0.0,1" for i in range(20)], ["zero", "not streaming"]),
     ],

@@ -26,6 +26,7 @@ from onebend.recording.tool import (
     tool_checked,
     tool_remarks,
 )
+from onebend.records import ToolTrack
 from tests.made_up import observations
 from tests.recording.filmed import LENGTH, recording
 from tests.recording.tool.scenes import (
@@ -48,8 +49,11 @@ def test_the_tool_is_seen_where_it_touches(at: float, bar: Bar) -> None:
     seen = filmed((at, bar)).place()
     assert seen.seen, seen.why
     assert abs(seen.s - at) < 2.0 * seen.sd
-    assert seen.sd < 0.03
+    assert seen.sd < 0.012
     assert not seen.left
+    assert seen.track is not None
+    assert abs(float(np.median(seen.track.s)) - at) * LENGTH < 0.5e-3  # m
+    assert np.linalg.norm(seen.track.effects.mean(axis=0)) <= seen.sd
 
 
 def test_it_is_seen_on_either_side() -> None:
@@ -107,21 +111,19 @@ def test_films_that_do_not_tell() -> None:
     assert not still.place().seen
 
 
-def meeting(s: float, sd: float = 0.02) -> Meeting:
-    return Meeting(s, sd, False, 0.006)
+def meeting(s: float) -> Meeting:
+    return Meeting(s, False, 0.006, 0.006, 0.0)
 
 
-def test_the_place_is_the_mean_and_its_sd_does_not_average_out() -> None:
+def test_the_place_is_the_middle_and_its_sd_does_not_average_out() -> None:
     pushed = np.arange(24) < 20
-    found = [[meeting(0.79 + 0.02 * (i % 2))] if now else [] for i, now in enumerate(pushed)]
-    told = place_of(found, pushed)
+    found = [[meeting(0.79 + 0.01 * (i % 3))] if now else [] for i, now in enumerate(pushed)]
+    told = place_of(found, pushed, LENGTH)
     assert told.s == pytest.approx(0.8)
-    assert told.sd == pytest.approx(np.hypot(0.02, 0.01))
+    assert told.sd == pytest.approx(np.hypot(0.006 / LENGTH / np.sqrt(12.0), 1.4826 * 0.01))
     assert told.shown == 1.0
-    sharper = [[meeting(0.79, 0.002)] if one and one[0].s < 0.8 else one for one in found]
-    assert place_of(sharper, pushed).s == pytest.approx(0.79, abs=1e-3)
     beyond = [[meeting(1.03)] if now else [] for now in pushed]
-    assert place_of(beyond, pushed).s == 1.0
+    assert place_of(beyond, pushed, LENGTH).s == 1.0
 
 
 def test_a_change_of_the_light_is_no_change() -> None:
@@ -179,11 +181,29 @@ def test_another_place_than_stated_is_warned_of() -> None:
 
 @pytest.mark.parametrize(("s", "shown", "there"), [(0.98, 0.3, True), (0.8, 0.3, False), (0.8, 0.9, False)])
 def test_the_place_is_seen_where_the_tool_is_seen_there(s: float, shown: float, there: bool) -> None:
-    tool, o = ToolPlace(s, 0.02, 0.007, False, shown, ""), observations()
+    track = ToolTrack(np.arange(3.0), np.full(3, s), np.full(3, 0.01), np.full((3, 1), 0.02))
+    tool, o = ToolPlace(s, 0.02, 0.007, False, shown, "", track), observations()
     rec = replace(recording(), push=PushEntry(at=1.0))
     checked = tool_checked(rec, o, np.zeros(len(o.time)), lambda *_: tool)
     assert checked.source.place_seen == there
     assert len(checked.source.remarks) - len(o.source.remarks) == (not there and shown > 0.5)
+    assert (checked.tool is not None) == there
+
+
+def test_a_tool_beside_the_stated_place_counts_less() -> None:
+    track, o = ToolTrack(np.arange(3.0), np.full(3, 0.97), np.full(3, 0.01), np.full((3, 1), 0.02)), observations()
+    rec = replace(recording(), push=PushEntry(at=1.0, at_sd=1e-3))
+
+    def told(s: float) -> ToolTrack:
+        tool = ToolPlace(s, 0.02, 0.007, False, 1.0, "", track)
+        checked = tool_checked(rec, o, np.zeros(len(o.time)), lambda *_: tool).tool
+        assert checked is not None
+        return checked
+
+    at, near = told(1.0), told(0.95)
+    np.testing.assert_allclose(at.sd, track.sd)
+    assert np.all(near.sd > 1.3 * track.sd)
+    np.testing.assert_allclose(near.effects / track.effects, near.sd[0] / track.sd[0])
 
 
 def test_medians_and_runs_are_those_of_the_plain_ways() -> None:

@@ -166,11 +166,11 @@ def test_mistakes_are_named(tmp_path: Path, options: dict[str, object], error: t
     ("old", "new", "words"),
     [
         (",1,", ",7,", ["marker 1", "0, 2, 3, 7, 9"]),
-        ("time_s", "t", ["lacks the column time_s", "found t, id"]),
-        ("0.000000,1,", "0.000000,one,", ["row 4", "id is 'one'"]),
+        ("time_s", "t", ["no column time_s", "found t, id"]),
+        ("0.000000,1,", "0.000000,one,", ["line 4", "id is 'one'"]),
         ("0.033333,1,", "0.000000,1,", ["marker 1 is there twice"]),
-        ("0.000000,1,", "0.000000,1.5,", ["row 4", "no whole number"]),
-        ("0.000000,1,", ",1,", ["row 4", "time_s is empty"]),
+        ("0.000000,1,", "0.000000,1.5,", ["line 4", "no whole number"]),
+        ("0.000000,1,", ",1,", ["line 4", "time_s is empty"]),
     ],
 )
 def test_mistakes_in_the_table_are_named_with_their_row(tmp_path: Path, old: str, new: str, words: list[str]) -> None:

@@ -60,10 +60,10 @@ def test_the_way_into_a_pose_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("loads", "words"),
     [
-        ("pose,s,clamp_deg,turned_from_deg,order\n0,,0,10,1\n", "row 2: both turned_from_deg and order"),
-        ("pose,s,clamp_deg,order\n0,,0,1\n1,,0,1\n", "row 2: order is the same in two poses"),
-        ("pose,s,clamp_deg,order\n0,1,0,1\n0,0.5,0,2\n", "row 2: order differs within the pose"),
-        ("pose,s,turned_from_deg\n0,,10\n", "row 2: turned_from_deg needs the clamp's angle"),
+        ("pose,s,clamp_deg,turned_from_deg,order\n0,,0,10,1\n", "line 2: both turned_from_deg and order"),
+        ("pose,s,clamp_deg,order\n0,,0,1\n1,,0,1\n", "line 2: order is the same in two poses"),
+        ("pose,s,clamp_deg,order\n0,1,0,1\n0,0.5,0,2\n", "line 2: order differs within the pose"),
+        ("pose,s,turned_from_deg\n0,,10\n", "line 2: turned_from_deg needs the clamp's angle"),
     ],
 )
 def test_a_way_that_makes_no_sense_is_refused(tmp_path: Path, loads: str, words: str) -> None:

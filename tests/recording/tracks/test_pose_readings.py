@@ -181,7 +181,7 @@ def test_a_poor_tape_beside_a_good_ruler(tmp_path: Path) -> None:
     ("poses", "words"),
     [
         ('relative_to = "bare"\n', [r"recording.toml:\d+: relative_to names no pose", "It has 0, 1"]),
-        ('relative_to = "3"\n', ["poses.csv, row 17", "zeroed in pose 3"]),
+        ('relative_to = "3"\n', ["poses.csv, line 17", "zeroed in pose 3"]),
         ('read_at = "x"\nalong_sd_m = 0.1\n', [r"recording.toml:\d+: along_sd_m is of marks"]),
         ("along_sd_m = 0\n", ["along_sd_m must be a number above 0"]),
         ("error_length_m = -1\n", ["error_length_m must be"]),
@@ -201,7 +201,7 @@ def _tilted(table: str) -> str:
 @pytest.mark.parametrize(
     ("shown", "poses", "loads", "columns", "words"),
     [
-        (lambda: hanging()[..., 1:], 'read_at = "x"\n', LOADS, ("y_m",), "row 2: a ruler stands at its x_m"),
+        (lambda: hanging()[..., 1:], 'read_at = "x"\n', LOADS, ("y_m",), "line 2: a ruler stands at its x_m"),
         (hanging, 'read_at = "x"\n', LOADS.replace("0,1,0.0", "0,1,unknown"), ("x_m", "y_m"), "weight_N is 'unknown'"),
         (lambda: without_bare(hanging()), 'relative_to = "0"\nread_at = "x"\n', LOADS, ("x_m", "y_m"), "another x_m"),
         (lambda: without_bare(hanging()), 'relative_to = "0"\n', _tilted(LOADS), ("x_m", "y_m"), "stays as it is"),

@@ -223,8 +223,8 @@ def test_moving_a_push_from_frame_to_frame_keeps_the_derivatives(tmp_path: Path)
 @pytest.mark.parametrize(
     ("old", "new", "options", "words"),
     [
-        ("0,1,0.0\n", "0,,0.3\n", {}, ["row 2", "a load needs its place"]),
-        ("pose,s", "posture,s", {}, ["lacks the column pose"]),
+        ("0,1,0.0\n", "0,,0.3\n", {}, ["line 2", "a load needs its place"]),
+        ("pose,s", "posture,s", {}, ["no column pose"]),
         ("5,1,", "6,1,", {}, ["the pose is not in loads.csv"]),
         ("1,0.05", "1,heavy", {}, ["weight_N is 'heavy'"]),
         ("", "", {"gravity": ""}, ["clamp's angle"]),
