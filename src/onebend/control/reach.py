@@ -772,8 +772,8 @@ def reach_in_setup(
     wanted, point = checked_goal(goal, settings), np.array([point_s])
     now = setup.renewed(new, push_s=push_s, length=beam.length)
 
-    def bent(force: Array, at: tuple[Array, Array] | None = None) -> Bent:
-        return now.bent(beam, uncertain, force, at, gravity=settings.gravity)
+    def bent(force: Array, at: tuple[Array, Array] | None = None, near: Array | None = None) -> Bent:
+        return now.bent(beam, uncertain, force, at, near=near, gravity=settings.gravity)
 
     found = _force_in_setup(bent, wanted, point, float(np.hypot(*setup.force)), _MET * beam.length)
     if found is None:
@@ -784,7 +784,7 @@ def reach_in_setup(
     way = bent(path)
     _refuse_beyond(settings, force, way)
     felt = force + now.force_sd * np.random.default_rng([seed, 1]).standard_normal((draws, 2))
-    drawn = bent(felt, now.draw(uncertain, draws, seed=seed))
+    drawn = bent(felt, now.draw(uncertain, draws, seed=seed), np.repeat(way.solved.q[-1:], draws, axis=0))
     if np.sum(drawn.stands) < max(3, draws // 2):
         raise ControlError(_NO_BOUND.format(lost=int(np.sum(~drawn.stands)), draws=draws))
     places, there = drawn.xy(point)[drawn.stands, 0], way.xy(point)[:, 0]
