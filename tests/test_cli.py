@@ -170,7 +170,7 @@ def test_learn_passes_its_options_on(tmp_path: Path, pipeline: list[dict[str, An
     settings, observing = pipeline[0]["settings"], pipeline[0]["observing"]
     chosen = (settings.method, settings.family, settings.width, settings.bic, settings.n, settings.m)
     assert chosen == ("paper", "powers", 0.2, "paper", 5, 3)
-    assert (observing.threads, observing.pairing, observing.epsilon) == (2, "nearest", 0.01)
+    assert (observing.threads, observing.epsilon) == (2, 0.01)
 
 
 def test_several_recordings_and_a_free_clamp_reach_the_fit(tmp_path: Path, pipeline: list[dict[str, Any]]) -> None:

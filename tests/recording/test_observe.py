@@ -154,7 +154,7 @@ def test_nearest_pairs_within_epsilon_only() -> None:
     rows = np.arange(0, len(log.time), 8)  # 25 Hz against 30 frames per second
     thin = replace(log, time=log.time[rows], force=log.force[rows])
     all_frames = observed(thin)
-    near = observed(thin, pairing="nearest", epsilon=0.01)
+    near = observed(thin, epsilon=0.01)
     assert len(all_frames.time) == 240
     assert 80 < len(near.time) < 160
     assert near.source.clean_force is not None

@@ -53,7 +53,7 @@ def full() -> Observations:
         clean_force=replace(
             clean,
             push_s=np.linspace(0.5, 1.0, len(clean.time)),
-            noise=ForceNoise(0.03, 0.01, 0.2, 0.004, spacing=0.001),
+            noise=ForceNoise(0.03, 0.01, 0.2, 0.004, spacing=0.001, level=0.02, load=0.05),
             zero_time=np.array([1.0]),
             zero=np.array([[0.1, 1 / 3]]),
             remarks=(Remark("note", "the log drifts"),),
@@ -183,7 +183,7 @@ def test_a_field_that_has_no_way_to_json_and_back_is_an_error() -> None:
         to_data(Odd(1j))
     with pytest.raises(TypeError, match="no way from JSON"):
         fields_from(Holder, {"values": {"a": 1.0}})
-    with pytest.raises(ValueError, match=r"Remark has other fields: \['about', 'doubt'\]"):
+    with pytest.raises(ValueError, match=r"Remark has other fields: .*'about', 'doubt'"):
         fields_from(Remark, {"level": "note", "text": "a"})
 
 

@@ -78,21 +78,11 @@ Method = Annotated[
         "regression as printed (17), with positions only."
     ),
 ]
-Observing = Annotated[ObserveSettings, Only(("threads",))]
+Observing = Annotated[ObserveSettings, Only(("threads", "epsilon"))]
 NoReport = Annotated[
     bool, typer.Option("--no-report", help="Write no report and no pictures; this saves a fifth of the time.")
 ]
 OpenReport = Annotated[bool, typer.Option("--open", help="Open the report in the browser.")]
-Epsilon = Annotated[
-    float | None,
-    typer.Option(
-        "--epsilon-s",
-        min=0.0,
-        max=common.MOST,
-        metavar="SECONDS",
-        help="Take the log's nearest row, at most this far from a frame (as in the paper); default: interpolate.",
-    ),
-]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Also print tables, nuisances, notes and times.")]
 
 
@@ -105,7 +95,6 @@ def learn(
     settings: RegressionSettings,
     fitting: FitSettings,
     observing: Observing,
-    epsilon: Epsilon = None,
     overwrite: common.Overwrite = False,
     verbose: Verbose = False,
     log: common.LogAxis = False,
@@ -116,7 +105,6 @@ def learn(
 ) -> None:
     out = output or Path(f"{folder_of(recordings[0]).resolve().name}-results")
     settings = replace(settings, method="paper" if method == "paper" else "regression")
-    observing = _paired(observing, epsilon)
     fit = fitting if method == "fit" else None
     if no_report and open_report:
         raise typer.BadParameter("--no-report writes no report to open. Leave one of the two out")
@@ -175,7 +163,6 @@ def validate(
     *,
     where: SetUpOptions,
     output: common.Output = None,
-    epsilon: Epsilon = None,
     observing: Observing,
     overwrite: common.Overwrite = False,
     as_json: common.Json = False,
@@ -195,7 +182,7 @@ def validate(
                 learned_from=known,
                 stiffness=stored.uncertain,
                 setup=setup,
-                observing=_paired(observing, epsilon),
+                observing=observing,
                 detect=detection_cache(onebend.__version__, None if place is None else place.work).detect,
                 progress=progress,
             )
@@ -217,7 +204,3 @@ def plan(
         found = plan_next(model, settings=settings, progress=progress)
     summary = learned_files.plan_summary(str(model), found, written_by=BY)
     common.answer(as_json, summary, lambda console: show_plan(console, found))
-
-
-def _paired(observing: ObserveSettings, epsilon: float | None) -> ObserveSettings:
-    return observing if epsilon is None else replace(observing, pairing="nearest", epsilon=epsilon)

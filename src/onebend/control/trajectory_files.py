@@ -77,24 +77,24 @@ def trajectory_message(path: FollowedPath, *, frame: str = FRAME) -> dict[str, A
         {
             "transforms": [
                 {
-                    "translation": _vector(x, y, 0.0),
-                    "rotation": _vector(0.0, 0.0, np.sin(0.5 * angle)) | {"w": float(np.cos(0.5 * angle))},
+                    "translation": vector(x, y, 0.0),
+                    "rotation": vector(0.0, 0.0, np.sin(0.5 * angle)) | {"w": float(np.cos(0.5 * angle))},
                 }
             ],
-            "velocities": [{"linear": _vector(vx, vy, 0.0), "angular": _vector(0.0, 0.0, turning)}],
+            "velocities": [{"linear": vector(vx, vy, 0.0), "angular": vector(0.0, 0.0, turning)}],
             "accelerations": [],
             "time_from_start": _time(seconds),
         }
         for seconds, (x, y, angle), (vx, vy, turning) in zip(path.time, poses, rates, strict=True)
     ]
-    return {"header": _header(0.0, frame), "joint_names": [JOINT], "points": points}
+    return {"header": header(0.0, frame), "joint_names": [JOINT], "points": points}
 
 
 def wrench_messages(path: FollowedPath, track: WrenchTrack, *, frame: str = FRAME) -> Iterator[dict[str, Any]]:
     """One geometry_msgs/WrenchStamped per sample, in plain data."""
     for seconds, (x, y), moment in zip(path.time, track.force, track.moment, strict=True):
-        wrench = {"force": _vector(x, y, 0.0), "torque": _vector(0.0, 0.0, moment)}
-        yield {"header": _header(seconds, frame), "wrench": wrench}
+        wrench = {"force": vector(x, y, 0.0), "torque": vector(0.0, 0.0, moment)}
+        yield {"header": header(seconds, frame), "wrench": wrench}
 
 
 def write_yaml(folder: Path, path: FollowedPath, *, frame: str = FRAME) -> list[str]:
@@ -124,16 +124,16 @@ def write_bag(folder: Path, path: FollowedPath, *, frame: str = FRAME) -> None:
     with Writer(folder, version=BAG_VERSION) as bag:
         if path.wrench is not None:
             wire = bag.add_connection("/onebend/gripper/trajectory", TRAJECTORY, typestore=store)
-            message = _typed(store, TRAJECTORY, trajectory_message(path, frame=frame))
+            message = typed(store, TRAJECTORY, trajectory_message(path, frame=frame))
             bag.write(wire, 0, store.serialize_cdr(message, TRAJECTORY))
         for track in wrench_tracks(path):
             wire = bag.add_connection(track.topic, WRENCH, typestore=store)
             for seconds, data in zip(path.time, wrench_messages(path, track, frame=frame), strict=True):
-                message = _typed(store, WRENCH, data)
+                message = typed(store, WRENCH, data)
                 bag.write(wire, _nanoseconds(seconds), store.serialize_cdr(message, WRENCH))
 
 
-def _typed(store: Typestore, name: str, data: dict[str, Any]) -> Any:
+def typed(store: Typestore, name: str, data: dict[str, Any]) -> Any:
     """Plain data as a message, recursively."""
     from rosbags.interfaces import Nodetype
 
@@ -142,14 +142,14 @@ def _typed(store: Typestore, name: str, data: dict[str, Any]) -> Any:
     for field, (node, inner) in definition:
         value = data[field]
         if node == Nodetype.NAME:
-            value = _typed(store, inner, value)
+            value = typed(store, inner, value)
         elif node == Nodetype.SEQUENCE and inner[0][0] == Nodetype.NAME:
-            value = [_typed(store, inner[0][1], item) for item in value]
+            value = [typed(store, inner[0][1], item) for item in value]
         fields[field] = value
     return store.types[name](**fields)
 
 
-def _vector(x: float, y: float, z: float) -> dict[str, float]:
+def vector(x: float, y: float, z: float) -> dict[str, float]:
     return {"x": float(x), "y": float(y), "z": float(z)}
 
 
@@ -162,7 +162,7 @@ def _time(seconds: float) -> dict[str, int]:
     return {"sec": whole, "nanosec": part}
 
 
-def _header(seconds: float, frame: str) -> dict[str, Any]:
+def header(seconds: float, frame: str) -> dict[str, Any]:
     return {"stamp": _time(seconds), "frame_id": frame}
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import least_squares
 
-from onebend.beam.grid import Grid, Modes, angles, jacobians, places, positions
+from onebend.beam.grid import Grid, Modes, angles, places, positions
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Problem, make_problem, share_farther
@@ -90,16 +91,14 @@ def _rest_states(o: Observations, known: BoolArray, bent_sd: float) -> Array:
     """States that balance curvature (one sd `bent_sd`, rad) against mounting, each measured by its own sd."""
     n, at = _REST_MODES.n, places(o.length, _REST_MODES, o.marker_s[known])
     sd = np.maximum(np.repeat([o.stated.placement_sd, o.stated.turn_sd], [2 * len(at.s), len(at.s)]), _EXACT)
-    theta, angle = np.zeros(n), o.rest_angle[known]
-    for _ in range(5):
-        jacobian = np.concatenate([jacobians(at, theta[None])[0].reshape(-1, n), at.to_places])
-        xy_away = (o.rest_xy[known] - positions(at, theta[None])[0]).ravel()
-        away = np.concatenate([xy_away, np.nan_to_num(angle - angles(at, theta[None])[0])])
-        jacobian[2 * len(at.s) :] *= np.isfinite(angle)[:, None]
-        rows = np.concatenate([jacobian / sd[:, None], np.eye(n) / bent_sd])
-        right = np.concatenate([away / sd, -theta / bent_sd])
-        theta = theta + np.linalg.lstsq(rows, right, rcond=None)[0]
-    return theta
+    measured, angle = o.rest_xy[known], o.rest_angle[known]
+
+    def away(theta: Array) -> Array:
+        turned = np.nan_to_num(angle - angles(at, theta[None])[0])
+        apart = np.concatenate([(measured - positions(at, theta[None])[0]).ravel(), turned])
+        return np.concatenate([apart / sd, theta / bent_sd])
+
+    return np.asarray(least_squares(away, np.zeros(n)).x)
 
 
 # The beam's own weight with a stated spread of the mass: then one number is learned. For one material, `k ~ w^3` and

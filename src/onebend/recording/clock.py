@@ -17,6 +17,7 @@ from onebend.recording.clock_likelihood import (
     binned,
     make_moments,
     make_track,
+    mixed,
     moments_of,
     offset_from_moments,
     thinned,
@@ -418,9 +419,7 @@ def averaged_over(searches: Sequence[OffsetScan], ends: Sequence[tuple[float, fl
     kept = np.isfinite(sd)
     if not kept.any():
         return float(mean[int(np.argmax(mass))]), float("inf")
-    share = np.exp(mass[kept] - np.logaddexp.reduce(mass[kept]))
-    middle = float(share @ mean[kept])
-    return middle, float(np.sqrt(share @ (sd[kept] ** 2 + (mean[kept] - middle) ** 2)))
+    return mixed(mass[kept], mean[kept], sd[kept])
 
 
 def tracks(markers: Markers, push_s: float | None, settings: ClockSettings, steps: float = 0.0) -> list[Track]:

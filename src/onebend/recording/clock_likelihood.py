@@ -665,11 +665,16 @@ def offset_from_moments(
     found = [one for begin in first if (one := _found_from(moments, rows, offsets, every, begin, prior)) is not None]
     if not found:
         return None
-    size = np.array([one.log_evidence for one in found])
-    share = np.exp(size - np.logaddexp.reduce(size))
-    mean = float(share @ [one.mean for one in found])
-    sd = float(np.sqrt(share @ [one.sd**2 + (one.mean - mean) ** 2 for one in found]))
-    return mean, sd, found[int(np.argmax(share))].noise
+    evidence = np.array([one.log_evidence for one in found])
+    mean, sd = mixed(evidence, np.array([one.mean for one in found]), np.array([one.sd for one in found]))
+    return mean, sd, found[int(np.argmax(evidence))].noise
+
+
+def mixed(log_evidence: Array, mean: Array, sd: Array) -> tuple[float, float]:
+    """Mean and sd of normal densities with these means and sds, weighted by their evidence."""
+    share = np.exp(log_evidence - np.logaddexp.reduce(log_evidence))
+    middle = float(share @ mean)
+    return middle, float(np.sqrt(share @ (sd**2 + (mean - middle) ** 2)))
 
 
 def _found_from(

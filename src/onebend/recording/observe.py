@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -69,8 +69,13 @@ class ObserveSettings:
     threads: int | None = option(
         "--threads", None, "Threads that look for tags; default: all cores.", metavar="N", within=(1, None)
     )
-    pairing: Literal["interpolate", "nearest"] = "interpolate"
-    epsilon: float = 0.02  # s, the paper's margin: with "nearest", frames farther from any row of the log are dropped
+    epsilon: float | None = option(
+        "--epsilon-s",
+        None,
+        "Take the log's nearest row, at most this far from a frame (as in the paper); default: interpolate.",
+        metavar="SECONDS",
+        within=(0.0, 1e9),
+    )
     check_force: bool = True  # refuse a force that contradicts the bending
     clock: ClockSettings = field(default_factory=ClockSettings)
     contact: ContactSettings = field(default_factory=ContactSettings)
@@ -213,7 +218,7 @@ def assemble(
     in_frame, rest, frame_remarks = to_beam_frame(markers, contact.still, rec.tags.placement_sd, gravity)
     if log is not None:
         clean = cleaned(rec, reading, log, contact, fit, settings.force)
-    force, push_s = pair(rec, clean, time, pairing=settings.pairing, epsilon=settings.epsilon, settings=settings.force)
+    force, push_s = pair(rec, clean, time, epsilon=settings.epsilon, settings=settings.force)
     loaded = contact.loaded if clean is not None else np.zeros(len(time), dtype=bool)
     few = of_markers(in_frame, read_before_fit(in_frame))
     angled = with_angles(few)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -301,22 +300,16 @@ def cleaned(
 
 
 def pair(
-    rec: Recording,
-    clean: CleanForce | None,
-    time: Array,
-    *,
-    pairing: Literal["interpolate", "nearest"],
-    epsilon: float,
-    settings: ForceSettings,
+    rec: Recording, clean: CleanForce | None, time: Array, *, epsilon: float | None, settings: ForceSettings
 ) -> tuple[Array, Array]:
     """(T, 2) N force and (T,) place of the push at the times `time` [s, log's clock]; NaN where the log is silent.
 
-    "nearest" takes the nearest row of the log, if within `epsilon` [s]. Without a log the force is zero."""
+    Interpolated, or of the nearest row of the log that is within `epsilon` [s]. Without a log the force is zero."""
     count = len(time)
     if clean is None:
         return np.zeros((count, 2)), np.full(count, np.nan)
     place = np.full(count, rec.push.at if rec.push else math.nan)
-    if pairing == "nearest":
+    if epsilon is not None:
         after = np.clip(np.searchsorted(clean.time, time), 1, len(clean.time) - 1)
         row = np.where(time - clean.time[after - 1] < clean.time[after] - time, after - 1, after)
         close = np.abs(clean.time[row] - time) <= epsilon

@@ -14,9 +14,13 @@ from onebend.records import GRAVITY_SD, Array, MassLine, PointMass, SectionShape
 # recording.toml's width lies in the plane of bending
 SIZES = ("width_m", "thickness_m", "diameter_m", "inner_diameter_m", "across_flats_m")
 SHAPES = (("width_m", "thickness_m"), ("diameter_m", "inner_diameter_m"), ("across_flats_m",), ("I_m4",))
-ROUND = math.sqrt(0.75)  # thickness over diameter, of the rectangle that has a circle's A / I
-ROUND_SHAPES: tuple[tuple[str, SectionShapeName], ...] = (("diameter_m", "circle"), ("across_flats_m", "hexagon"))
-HEXAGONAL = math.sqrt(5.0 / 6.0)  # the same of a hexagon, over its width across flats
+# Of each shape the sizes in and across the plane of bending, and the thickness of the rectangle that has its 12 I / A,
+# over the first of them.
+BY_SIZES: dict[SectionShapeName, tuple[str, str, float]] = {
+    "rectangle": ("width_m", "thickness_m", 1.0),
+    "circle": ("diameter_m", "diameter_m", math.sqrt(0.75)),
+    "hexagon": ("across_flats_m", "across_flats_m", math.sqrt(5.0 / 6.0)),
+}
 OF_SQUARE = {"circle": math.pi / 4.0, "tube": math.pi / 4.0, "hexagon": math.sqrt(0.75)}  # areas over those of squares
 FARTHEST_END = 0.05  # of the beam, from the first and the last place of a section to its ends
 
@@ -80,25 +84,21 @@ def _section(rec: Recording, sizes: dict[str, Array]) -> StatedSection | None:
         unknown = np.full(len(s), np.nan)
         return StatedSection("second moment", s, unknown, unknown, moment=sizes["I_m4"], moment_sd=beam.moment_sd)
     inner = sizes.get("inner_diameter_m")
-    for name, shape in ROUND_SHAPES:
-        if name in sizes:
+    for shape, (name, across, _) in BY_SIZES.items():
+        if name in sizes and across in sizes:
             whole = shape if inner is None else "tube"
-            return StatedSection(whole, s, sizes[name], sizes[name], beam.section_sd, inner)
-    if "width_m" in sizes and "thickness_m" in sizes:
-        return StatedSection("rectangle", s, sizes["width_m"], sizes["thickness_m"], beam.section_sd)
+            return StatedSection(whole, s, sizes[name], sizes[across], beam.section_sd, inner)
     return None
 
 
 def _thickness(sizes: dict[str, Array]) -> float:
     """m, mean in the plane of bending; of a round or hexagonal beam that of an equal rectangle. NaN: not stated."""
-    s, size = sizes["s"], sizes.get("width_m")
-    if "diameter_m" in sizes:  # 12 I / A
-        size = ROUND * np.hypot(sizes["diameter_m"], sizes.get("inner_diameter_m", np.zeros(len(s))))
-    elif "across_flats_m" in sizes:
-        size = HEXAGONAL * sizes["across_flats_m"]
-    if size is None:
-        return math.nan
-    return float(np.trapezoid(size, s)) / float(s[-1] - s[0])
+    s = sizes["s"]
+    for name, _, share in BY_SIZES.values():
+        if name in sizes:
+            size = share * np.hypot(sizes[name], sizes.get("inner_diameter_m", np.zeros(len(s))))
+            return float(np.trapezoid(size, s)) / float(s[-1] - s[0])
+    return math.nan
 
 
 def _sizes(rec: Recording) -> dict[str, Array]:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +17,7 @@ from onebend.beam.model import Beam
 from onebend.beam.section import ModulusBand, modulus_band, one_modulus, section_as_dict, section_from_dict
 from onebend.beam.setup import SetUp
 from onebend.beam.stiffness import Profile, UncertainStiffness
-from onebend.errors import LearningError, MechanicsError, ResultsError
+from onebend.errors import MechanicsError, OnebendError, ResultsError
 from onebend.files.publish import OWN_CHECKSUM, SUMMARY, is_listed_otherwise, is_unchanged, with_checksum
 from onebend.learning.outcome import Comparison, Learned, modulus_along
 from onebend.records import Array, StatedSection
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
     from onebend.learning.instruments import Instruments
     from onebend.learning.posterior import Posterior
     from onebend.learning.swing import Damping
+
+
+Part = TypeVar("Part")
 
 
 @dataclass(frozen=True)
@@ -210,12 +214,12 @@ def read_model(path: Path | str) -> StoredModel:
         uncertain = replace(uncertain, doubts=(*uncertain.doubts, f"{file.name} {changed}"))
     return StoredModel(
         beam=beam,
-        origin=_origin(file, data.get("origin")),
+        origin=_part(file, data, "origin", _origin),
         uncertain=uncertain,
-        bench=_bench(file, data.get("bench")),
-        setup=_setup(file, data.get("setup"), uncertain),
-        damping=_damping(file, data.get("damping")),
-        section=_section(file, data.get("section")),
+        bench=_part(file, data, "bench", _bench),
+        setup=_part(file, data, "setup", partial(_setup, uncertain)),
+        damping=_part(file, data, "damping", _damping),
+        section=_part(file, data, "section", section_from_dict),
         changed=changed,
         swapped=_swapped(file),
     )
@@ -258,54 +262,38 @@ def _check_kind(file: Path, data: dict[str, Any]) -> None:
         )
 
 
-def _origin(file: Path, data: Any) -> Origin | None:
-    if data is None:
-        return None
-    if not isinstance(data, dict) or set(data) != {field.name for field in fields(Origin)}:
-        raise ResultsError(f"{file}: key 'origin' is not as onebend writes it. {_ADVICE}")
+def _part(file: Path, data: dict[str, Any], name: str, read: Callable[[Any], Part]) -> Part | None:
+    """What `read` makes of a key that may be missing."""
+    try:
+        return None if data.get(name) is None else read(data[name])
+    except (OnebendError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ResultsError(f"{file}: key {name!r} is not as onebend writes it ({error}). {_ADVICE}") from error
+
+
+def _origin(data: Any) -> Origin:
+    if set(data) != {field.name for field in fields(Origin)}:
+        raise ValueError("it has other entries")
     values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in data.items()}
     return Origin(**values)
 
 
-def _bench(file: Path, data: Any) -> Instruments | None:
-    if data is None:
-        return None
+def _bench(data: Any) -> Instruments:
     from onebend.learning.instruments import Instruments  # here, and below: reading a model loads no fit
 
-    try:
-        return Instruments.from_dict(data)
-    except LearningError as error:
-        raise ResultsError(f"{file}: key 'bench' {error}. {_ADVICE}") from error
+    return Instruments.from_dict(data)
 
 
-def _setup(file: Path, data: Any, uncertain: UncertainStiffness | None) -> SetUp | None:
-    if data is None:
-        return None
-    try:
-        found = SetUp.from_dict(data)
-    except MechanicsError as error:
-        raise ResultsError(f"{file}: key 'setup' {error}. {_ADVICE}") from error
+def _setup(uncertain: UncertainStiffness | None, data: Any) -> SetUp:
+    found = SetUp.from_dict(data)
     if uncertain is None or found.slope.shape[1] != len(uncertain.mean):
-        raise ResultsError(f"{file}: key 'setup' does not fit the band of k(s). {_ADVICE}")
+        raise ValueError("it does not fit the band of k(s)")
     return found
 
 
-def _damping(file: Path, data: Any) -> Damping | None:
-    if data is None:
-        return None
+def _damping(data: Any) -> Damping:
     from onebend.learning.swing import Damping
 
-    try:
-        return Damping.from_dict(data)
-    except LearningError as error:
-        raise ResultsError(f"{file}: key 'damping' {error}. {_ADVICE}") from error
-
-
-def _section(file: Path, data: Any) -> StatedSection | None:
-    try:
-        return None if data is None else section_from_dict(data)
-    except (MechanicsError, KeyError, TypeError, ValueError) as error:
-        raise ResultsError(f"{file}: key 'section' is no section ({error}). {_ADVICE}") from error
+    return Damping.from_dict(data)
 
 
 def _beam(file: Path, data: Any) -> Beam:

@@ -79,7 +79,7 @@ def _value(type_: Any, data: Any) -> Any:
 
 FILE_NAME = "observations.parquet"
 _KEY = b"onebend"
-_VERSION = 5
+_VERSION = 6
 _ROWS_A_PERIOD = 50  # of the cut-off: linear interpolation is then accurate to 0.2 %
 # Fields with one row per frame.
 _COLUMNS = {

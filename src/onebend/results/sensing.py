@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from onebend.control.trajectory_files import header, typed, vector
 from onebend.errors import ExportError
 from onebend.extras import require
 from onebend.learning.sensing.forces import LEVEL
@@ -17,10 +18,6 @@ from onebend.learning.sensing.sensor import SensorCheck
 from onebend.records import Array
 from onebend.report.sentences import worded
 from onebend.results.tables import write_csv
-
-if TYPE_CHECKING:
-    from rosbags.typesys.store import Typestore
-
 
 SENSE_FORMAT = "onebend-sense-1"
 BAG = "force.mcap"
@@ -183,28 +180,21 @@ def force_bag(time: Array, force: Array, covariance: Array) -> bytes:
         with Writer(inside, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
             wrenches = writer.add_connection(FORCE_TOPIC, WRENCH, typestore=store)
             covariances = writer.add_connection(COVARIANCE_TOPIC, NUMBERS, typestore=store)
-            for at, of_frame, spread in zip(time, force, covariance, strict=True):
-                stamp = max(round(float(at) * _SECOND), 1)
-                writer.write(wrenches, stamp, bytes(store.serialize_cdr(_wrench(store, stamp, of_frame), WRENCH)))
-                writer.write(covariances, stamp, bytes(store.serialize_cdr(_matrix(store, spread), NUMBERS)))
+            for at, of_frame, spread in zip(np.maximum(time, 1.0 / _SECOND), force, covariance, strict=True):
+                for connection, data in ((wrenches, _wrench(at, of_frame)), (covariances, _matrix(spread))):
+                    content = store.serialize_cdr(typed(store, connection.msgtype, data), connection.msgtype)
+                    writer.write(connection, round(float(at) * _SECOND), content)
         return next(inside.glob("*.mcap")).read_bytes()
 
 
-def _wrench(store: Typestore, stamp: int, force: Array) -> Any:
-    types = store.types
-    vector = types["geometry_msgs/msg/Vector3"]
-    seconds, rest = divmod(stamp, _SECOND)
-    header = types["std_msgs/msg/Header"](
-        stamp=types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest), frame_id=FRAME
-    )
-    pushed = vector(x=float(force[0]), y=float(force[1]), z=0.0)
-    turned = vector(x=0.0, y=0.0, z=0.0)
-    return types[WRENCH](header=header, wrench=types["geometry_msgs/msg/Wrench"](force=pushed, torque=turned))
+def _wrench(seconds: float, force: Array) -> dict[str, Any]:
+    return {
+        "header": header(seconds, FRAME),
+        "wrench": {"force": vector(force[0], force[1], 0.0), "torque": vector(0.0, 0.0, 0.0)},
+    }
 
 
-def _matrix(store: Typestore, covariance: Array) -> Any:
-    types = store.types
-    side = types["std_msgs/msg/MultiArrayDimension"]
-    sides = [side(label="row: fx_N, fy_N", size=2, stride=4), side(label="column: fx_N, fy_N", size=2, stride=2)]
-    layout = types["std_msgs/msg/MultiArrayLayout"](dim=sides, data_offset=0)
-    return types[NUMBERS](layout=layout, data=np.ascontiguousarray(covariance, dtype=np.float64).ravel())
+def _matrix(covariance: Array) -> dict[str, Any]:
+    sides = [("row: fx_N, fy_N", 2, 4), ("column: fx_N, fy_N", 2, 2)]
+    dim = [dict(zip(("label", "size", "stride"), side, strict=True)) for side in sides]
+    return {"layout": {"dim": dim, "data_offset": 0}, "data": np.ascontiguousarray(covariance, dtype=float).ravel()}

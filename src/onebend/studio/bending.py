@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from contourpy import contour_generator
 from PIL import Image, ImageDraw
 from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.spatial import cKDTree
@@ -311,28 +312,9 @@ def _painted(corners: Array) -> BoolArray:
 
 def _loops(picture: BoolArray) -> list[Array]:
     """Smoothed closed lines (P, 2) px around the covered regions and their holes; the last point is the first."""
-    sides = []  # of pixels, as pairs of corner numbers, the covered pixel on the left
-    wide = picture.shape[1] + 1
-    for axis, along in ((0, 1), (1, wide)):
-        change = np.diff(picture.astype(np.int8), axis=axis)
-        for sign in (1, -1):
-            y, x = np.nonzero(change == sign)
-            near = wide * (y + 1 - axis) + x + axis
-            sides.append(np.stack([near, near + along][:: sign if axis == 0 else -sign], axis=1))
-    after: dict[int, list[int]] = {}
-    for begin, end in np.concatenate(sides).tolist():
-        after.setdefault(begin, []).append(end)
-    loops = []
-    while after:
-        line = [next(iter(after))]
-        while following := after.get(line[-1]):
-            line.append(following.pop())
-            if not following:
-                del after[line[-2]]
-        if len(line) > _SHORTEST:
-            loops.append(np.array(line[:-1]))
-    turned = (np.stack([loop % wide, loop // wide], axis=1) - 0.5 for loop in loops)
-    smooth = (uniform_filter1d(loop.astype(float), _SMOOTH, axis=0, mode="wrap")[::_EACH] for loop in turned)
+    lines = contour_generator(z=picture.astype(float)).lines(0.5)
+    loops = [line[:-1] for line in lines if len(line) > _SHORTEST]
+    smooth = (uniform_filter1d(loop, _SMOOTH, axis=0, mode="wrap")[::_EACH] for loop in loops)
     return [np.concatenate([loop, loop[:1]]) for loop in smooth]
 
 
