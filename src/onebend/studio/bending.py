@@ -256,7 +256,8 @@ class Bending:
         if self.setup is None:
             return state.load[:2]
         tags, rest = (np.array([self._at(q, s) for s in self.setup.tags]) for q in (state.q, self.pushed.start.q))
-        return self.setup.logged(state.load[None, :2], self.setup.bend(tags[None], rest))[0]
+        shown = self.setup.logged(state.load[None, :2], self.setup.bend(tags[None], rest))
+        return np.asarray(shown[0])
 
     def _line(self, q: Array) -> Array:
         alpha = self.pushed.angles(q)
