@@ -2,9 +2,8 @@
 
 A generated part stands in its page between `<!-- generated: NAME -->` and `<!-- end -->`. docs/cli.md has one
 for each command, made from the command's options. docs/recording.md has one for each table of `recording.toml`, made
-from the schema. docs/troubleshooting.md has the list of the warnings on results, made from their sentences. The text
-around these parts is written by hand; tests/whole/test_docs.py compares the parts with the code. `options.json` of
-the command line is written too; tests/test_startup.py compares it.
+from the schema. The text around them is written by hand; tests/whole/test_docs.py compares the parts with the code.
+`options.json` of the command line is written too; tests/test_startup.py compares it.
 """
 
 from __future__ import annotations
@@ -21,14 +20,10 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from benchmarks.shown import ROOT, put_block
 from onebend.cli import OPTIONS, Command, all_commands, as_data
-from onebend.errors import SECTIONS
 from onebend.recording.description import RECORDS
 from onebend.recording.entries import CameraInfoEntry, MassEntry, TagEntry
 from onebend.recording.schema import Key
-from onebend.report.sentences import SENTENCES
 
-TROUBLES = ROOT / "docs" / "troubleshooting.md"
-BEGINS = 7  # words of a message that the list shows
 COMMON = 3  # commands that have an option with the same words, from which on it is explained once
 TABLES: dict[str, type] = {
     **RECORDS,
@@ -45,31 +40,7 @@ def pages() -> dict[Path, dict[str, str]]:
     return {
         docs / "cli.md": commands(),
         docs / "recording.md": {name: key_table(name) for name in TABLES},
-        docs / "troubleshooting.md": {"messages": messages()},
     }
-
-
-def messages() -> str:
-    """How warnings of learning begin, by entry, unless the entry's title says it already; a number is an ellipsis."""
-    titles = {anchor_of(title): title for title in re.findall(r"(?m)^### (.+)$", TROUBLES.read_text(encoding="utf-8"))}
-    found: dict[str, dict[str, None]] = {}
-    for one in filter(lambda one: one.about, SENTENCES.values()):
-        text = re.sub(r"\{[^}]*\}", "…", one.text)
-        begins = re.split(r"[:;]|\. | \(", text)[0].strip(" ,.…").split()
-        few = found.setdefault(SECTIONS[str(one.about)], {})
-        few[" ".join(begins[:BEGINS]).strip(" ,.…") + "…" * (len(begins) > BEGINS)] = None
-    lines = []
-    for anchor, few in found.items():
-        said = set(re.findall(r"\w+", titles[anchor].lower()))
-        asked = {one: re.findall(r"\w+", one.lower()) for one in few}
-        new = [one for one, words in asked.items() if 2 * len(said.intersection(words)) < len(words)]
-        lines += [f"- [{titles[anchor]}](#{anchor}): {'; '.join(new)}"] if new else []
-    return "\n".join(lines)
-
-
-def anchor_of(title: str) -> str:
-    """The anchor that Markdown viewers give a title."""
-    return re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
 
 
 def renewed(text: str, parts: Mapping[str, str]) -> str:
@@ -80,21 +51,18 @@ def renewed(text: str, parts: Mapping[str, str]) -> str:
 
 
 def commands() -> dict[str, str]:
-    """The list of all commands, the options that several share, and each command with its own. An option that two
-    commands share is explained at the first of them."""
+    """The options that several commands share, and each command with its own. An option that two commands share is
+    explained at the first of them."""
     parameters = {name: [(one.said, one.says) for one in asked_of(name)] for name in all_commands()}
     counts = Counter(said for own in parameters.values() for said in own)
     shared = [said for said, count in counts.items() if count >= COMMON]
-    parts = {"commands": ", ".join(f"[{name}](#{name})" for name in all_commands()) + "."}
-    parts["common options"] = "\n".join(f"- {name}: {says}" for name, says in shared)
+    parts = {"common options": "\n".join(f"- {name}: {says}" for name, says in shared)}
     first = {said: name for name, own in reversed(parameters.items()) for said in own}
     for name, own in parameters.items():
         elsewhere: dict[str, list[str]] = {}
         for said in own:
-            if said[0].startswith("`-") and (said in shared or first[said] != name):
-                link = (
-                    "[common options](#common-options)" if said in shared else f"as for [{first[said]}](#{first[said]})"
-                )
+            if said[0].startswith("`-") and said not in shared and first[said] != name:
+                link = f"as for [{first[said]}](#{first[said]})"
                 elsewhere.setdefault(link, []).append(said[0].split(",")[0].split(" ")[0].rstrip("`") + "`")
         told = {said for said in own if said in shared or (said[0].startswith("`-") and first[said] != name)}
         lines = [f"- {said}: {says}" for said, says in own if (said, says) not in told]
@@ -161,8 +129,7 @@ def key_table(name: str) -> str:
     """The keys of a table of `recording.toml`, in Markdown."""
     without = {key.name for key, _ in _keys(TABLES[INHERITED[name]])} if name in INHERITED else set()
     rows = [(key, value_of(key, default)) for key, default in _keys(TABLES[name]) if key.name not in without]
-    head = ["| key | meaning | default (example) |", "| --- | --- | --- |"]
-    return "\n".join([*head, *(f"| `{key.name}` | {key.says} | {value} |" for key, value in rows)])
+    return "\n".join(f"- `{key.name}` {value}: {key.says}" for key, value in rows)
 
 
 def _keys(record: type) -> list[tuple[Key, Any]]:
@@ -174,10 +141,10 @@ def _keys(record: type) -> list[tuple[Key, Any]]:
 def value_of(key: Key, default: Any) -> str:
     """The default of a key in the file's own unit; else an example, and whether the key must be given."""
     if default is ...:
-        return f"required (`{key.example}`)"
+        return f"(required, such as `{key.example}`)"
     if default is None or default in ("", ()) or (isinstance(default, float) and not math.isfinite(default)):
-        return f"(`{key.example}`)"
-    return f"`{as_toml(default, scale_of(key))}`"
+        return f"(such as `{key.example}`)"
+    return f"(`{as_toml(default, scale_of(key))}`)"
 
 
 def scale_of(key: Key) -> float:

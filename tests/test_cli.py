@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Callable
 from functools import partial
@@ -16,6 +17,7 @@ from typer.testing import CliRunner, Result
 
 from onebend import __version__, cli
 from onebend.cli import learning as learning_commands, recordings as recording_commands
+from onebend.control.reach import reach
 from onebend.errors import LearningError, ObservationError
 from onebend.files.kept import users_folder
 from onebend.learning.run import Run
@@ -397,3 +399,33 @@ def test_show_draws_the_model(tmp_path: Path) -> None:
     assert "95 % band" in run("show", tmp_path).stdout
     shown = json.loads(run("show", tmp_path, "--json").stdout)
     np.testing.assert_allclose(shown["stiffness"]["k_hi_N_m"], fit.band(np.linspace(0, 1, 11)).high)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("reach", "x", "--goal", "0.12"), "--goal needs 2 numbers: X Y"),
+        (("reach", "x", "--goal", "0.12", "-o", "y"), "--goal needs 2 numbers: X Y"),
+        (("reach", "x", "--goal", "1", "2", "--push-at", "tip"), "--push-at needs a number: S"),
+        (("export", "x", "--to", "mujco", "-o", "y"), "Did you mean mujoco?"),
+    ],
+)
+def test_a_wrong_option_says_what_it_needs(arguments: tuple[str, ...], words: str) -> None:
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert words in " ".join(result.stderr.replace("│", " ").split())
+
+
+def test_help_and_the_version_have_their_usual_names() -> None:
+    assert run("help", "reach").stdout == run("reach", "--help").stdout
+    assert run("help").stdout == run("--help").stdout
+    assert run("-V").stdout == run("--version").stdout == f"onebend {__version__}\n"
+
+
+def test_results_show_themselves_in_a_line() -> None:
+    uncertain = made_up.posterior().stiffness
+    assert re.fullmatch(r"Beam\(length=0.15 m, k=[0-9.]+ to [0-9.]+ N m\)", repr(made_up.BEAM))
+    assert repr(uncertain).startswith("UncertainStiffness(k=")
+    assert "(95 %, median)" in repr(uncertain)
+    found = reach(made_up.BEAM, made_up.BEAM.equilibrium((0.0, 0.1)).xy(1.0))
+    assert re.fullmatch(r"Reach\(goal=\([0-9.]+, [0-9.]+\) m, force=\(-?[0-9.e-]+, 0\.1\) N\)", repr(found))

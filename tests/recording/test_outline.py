@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,10 +11,10 @@ from scipy.spatial import cKDTree
 
 from onebend.errors import ObservationError
 from onebend.recording import outline
-from onebend.recording.camera import project, to_plane
+from onebend.recording.camera import measure_markers, project, to_plane
 from onebend.recording.outline import MEASURED, Planes, Sight, Stations
-from onebend.records import Array, BoolArray, OutlineTrack, View
-from tests.recording.filmed import HEIGHT, LENGTH, WIDTH, view
+from onebend.records import Array, BoolArray, Markers, OutlineTrack, View
+from tests.recording.filmed import HEIGHT, LENGTH, WIDTH, corners_of, detections, poses, recording, view
 
 BODY, GROUND, WALL = (200.0, 118.0, 136.0), (110.0, 131.0, 125.0), (140.0, 122.0, 133.0)
 VIEW = view(dist=(-0.05, 0.02, 0.0, 0.0, 0.0))
@@ -169,3 +170,60 @@ def test_a_curve_off_the_body_is_refused() -> None:
     middle = outline.centreline(strayed, stations, half, MEASURED / scale)
     with pytest.raises(ObservationError, match=r"leaves the body|lost"):
         outline.refuse_lost(middle, strayed, ~hidden, "painted")
+
+
+def beside_tags(*, off: float = 0.0, drift: float = 0.0) -> Markers:
+    """A bending body with points of its outline and a tag `off` m to its left, against which the line moves by `drift`
+    m while the body bends."""
+    s, every = np.linspace(0.05, 0.95, 19), bends()
+    s = np.sort(np.append(s, 0.52))
+    tag = s == 0.52
+    shapes = [line(bend, s) for bend in every]
+    xy, angle = np.stack([one for one, _ in shapes]), np.stack([one for _, one in shapes])
+    left = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
+    xy = xy + np.where(tag, off, 0.0)[:, None] * left
+    xy = xy + np.where(tag, 0.0, drift)[:, None] * left * (every / every.max())[:, None, None]
+    covariance = np.broadcast_to(1e-10 * np.eye(3), (*angle.shape, 3, 3))
+    return Markers(
+        np.arange(len(every)) / 30.0, np.arange(len(s)), s, xy, angle, covariance, np.zeros(len(every)), VIEW,
+        traced=~tag,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("off", "drift", "said"),
+    [(0.0, 0.0, ""), (5e-4, 1e-4, ""), (3e-3, 0.0, "passes 3 mm"), (0.0, 3e-3, "moves by up to")],
+)
+def test_an_outline_that_contradicts_a_tag_is_told(off: float, drift: float, said: str) -> None:
+    assert said in (found := outline.contradicted(beside_tags(off=off, drift=drift), recording()))
+    assert bool(found) == bool(said)
+
+
+def test_beside_tags_a_body_that_is_not_found_is_left_out_with_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    def lost(*_: object, **__: object) -> OutlineTrack:
+        raise ObservationError("a film: no body is seen. Light it.")
+
+    monkeypatch.setattr(outline, "outline_track", lost)
+    rec, corners = recording(), corners_of(poses(12), view())
+    seen, number = detections(corners), np.arange(12)
+    tags = measure_markers(seen, rec)
+    left = outline.with_outline(rec, tags, seen, number)
+    assert left.traced is None
+    assert [one.text for one in left.remarks if one not in tags.remarks] == [
+        "The body's outline is not used beside the tags: a film: no body is seen."
+    ]
+    bare = replace(rec, tags=replace(rec.tags, on_beam=()))
+    with pytest.raises(ObservationError, match="no body is seen"):
+        outline.with_outline(bare, tags, seen, number)
+
+
+def test_between_the_frames_that_are_read_the_curve_is_not_seen() -> None:
+    rng, kept = np.random.default_rng(0), np.array([0, 3, 6])
+    of_kept = OutlineTrack(
+        np.array([0.2, 0.8]), rng.random((3, 2, 2)), rng.random((3, 2, 2)), np.ones((3, 2)), np.ones(2)
+    )
+    spread = outline.spread_over(of_kept, kept, 8)
+    np.testing.assert_allclose(spread.px[kept], of_kept.px)
+    np.testing.assert_allclose(spread.px[4], (2.0 * of_kept.px[1] + of_kept.px[2]) / 3.0)
+    np.testing.assert_allclose(spread.ahead[7], of_kept.ahead[2])
+    assert np.array_equal(np.flatnonzero(np.isfinite(spread.sd[:, 0])), kept)

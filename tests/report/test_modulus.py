@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from onebend.beam.section import modulus_band, one_modulus, relative_moment
-from onebend.cli.screens import estimate_table, show_model, show_run
+from onebend.cli.screens import show_model, show_run
 from onebend.learning.run import Run
 from onebend.records import StatedSection
 from onebend.report.confidence import (
@@ -64,18 +64,6 @@ def test_the_screen_has_the_modulus_below_k() -> None:
     assert [cell.strip("()") for cell in table.split()[2:]] == list(rows.values)
     assert "width_m 4 mm in the plane of bending, thickness_m 30 mm across it, taken as" in " ".join(text.split())
     assert modulus_range(measured(BAR)).replace("\u00a0", " ") in text.replace("\u00a0", " ")
-
-
-def test_the_long_table_fits_a_small_screen() -> None:
-    console = Console(file=io.StringIO(), width=80, color_system=None)
-    console.print(estimate_table(made_up.posterior().stiffness, made_up.learned(), modulus_rows(measured(BAR), S)))
-    assert isinstance(console.file, io.StringIO)
-    lines = console.file.getvalue().splitlines()
-    assert len(lines) == 12
-    assert not any("…" in line for line in lines)
-    rows = modulus_rows(measured(BAR), S)
-    assert rows is not None
-    assert lines[6].split()[-3:] == [rows.values[5], rows.low[5], rows.high[5]]
 
 
 @pytest.mark.parametrize("fitted", [True, False])

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from onebend.cli.screens import show_run
 from onebend.learning.criticism import Finding
-from onebend.learning.outcome import another_beam
+from onebend.learning.outcome import Notice, another_beam
 from onebend.learning.posterior import Posterior
 from onebend.learning.run import Run
 from onebend.learning.verdict import fit_notices, fitted_rms, possible
@@ -21,7 +21,7 @@ from onebend.records import MassLine, Remark, StatedSection
 from onebend.report.confidence import model_test_rows
 from onebend.report.page import cards, code_in, page
 from onebend.report.sentences import worded
-from onebend.report.verdict import hopeless, verdict_of
+from onebend.report.verdict import hopeless, validation_verdict, verdict_of
 from onebend.results.learned_files import summary_of
 from tests import made_up
 
@@ -216,3 +216,27 @@ def test_a_beam_that_would_hang_far_down_tells_of_the_forces_unit(mass: float, h
     whole = (replace(first, observations=replace(first.observations, stated=stated)), *found.recordings[1:])
     said = worded(fit_notices(replace(found, problem=replace(found.problem, recordings=whole))))
     assert [one.level for one in said if "hang down out of the plane" in one.text] == ["warning"] * hangs
+
+
+def test_validations_have_one_line_and_know_the_data_that_was_learned_from() -> None:
+    found = made_up.findings(2)
+    assert validation_verdict(found.validations).startswith("validation on ")
+    own = replace(found.validations[0], remarks=(Notice("no validation", {"recording": "rec"}),))
+    assert validation_verdict([own, found.validations[1]]) == f"no validation: the beam was learned from {own.name}"
+    unseen = replace(own, remarks=(), rms=np.full(3, np.nan))
+    assert validation_verdict([unseen]) == ""
+
+
+def test_the_verdict_names_what_no_test_sees() -> None:
+    found = made_up.findings(0)
+    said = verdict_of(found).given
+    force = float(np.linalg.norm(found.recordings[0].force, axis=1).max())
+    assert f"the force in N as logged (at most {force:.3g} N)" in said
+    assert "the length of 150 mm" in said
+    assert ("rests on", said) in verdict_of(found).rows
+
+
+def test_a_wrong_unit_is_the_next_thing_to_correct_even_where_k_is_trusted() -> None:
+    found = made_up.findings(0)
+    heavy = Remark("warning", "The largest force is 103 N: is the log in grams?", about="force unit")
+    assert verdict_of(replace(found, remarks=(heavy,))).next == heavy.text.rstrip(".")

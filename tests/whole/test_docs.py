@@ -57,7 +57,7 @@ def test_a_stale_part_is_written_anew_and_a_part_without_a_place_is_named() -> N
 
 def test_every_option_is_in_its_command_s_part_and_every_key_in_its_table_s() -> None:
     """Asked of Typer's own help and of the schema, beside the generator."""
-    (cli, commands_said), (_, tables), _ = pages().items()
+    (cli, commands_said), (_, tables) = pages().items()
     assert cli.name == "cli.md"
     for command in COMMANDS:
         asked = CliRunner().invoke(app, [command, "--help"], env={"COLUMNS": "200"}).stdout
@@ -67,14 +67,14 @@ def test_every_option_is_in_its_command_s_part_and_every_key_in_its_table_s() ->
     for name, record in TABLES.items():
         shared = {key.name for key, _ in keys_of(TABLES[INHERITED[name]]).values()} if name in INHERITED else set()
         for key in {key.name for key, _ in keys_of(record).values()} - shared:
-            assert f"| `{key}` |" in tables[name]
+            assert f"- `{key}` (" in tables[name]
 
 
 def test_defaults_stand_in_the_unit_of_the_key() -> None:
     tables = pages()[ROOT / "docs" / "recording.md"]
-    assert "| `0.0025` |" in tables["push"]
-    assert re.search(r"`rest_curvature_sd_deg` .*\| `8.59` \|", tables["beam"])
-    assert re.search(r"`length_m` .*\| required \(`0.15`\) \|", tables["beam"])
+    assert "`at_sd_m` (`0.0025`):" in tables["push"]
+    assert "`rest_curvature_sd_deg` (`8.59`):" in tables["beam"]
+    assert "`length_m` (required, such as `0.15`):" in tables["beam"]
 
 
 def test_columns_are_the_documented_ones(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ class Shape:
         return np.asarray(values[0]) if self.single else values
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Beam:
     """A planar slender beam, clamped at s = 0. It stretches and shears only where a thickness is given."""
 
@@ -67,6 +67,10 @@ class Beam:
         for one in self.masses:
             if not (0.0 <= one.s <= 1.0 and 0.0 <= one.mass < math.inf):
                 raise MechanicsError(f"a mass rides at s in [0, 1] and is 0 kg or more, got {one.mass} kg at {one.s}")
+
+    def __repr__(self) -> str:
+        k = self.stiffness(np.linspace(0.0, 1.0, 201))
+        return f"Beam(length={self.length:.4g} m, k={k.min():.3g} to {k.max():.3g} N m)"
 
     @property
     def section(self) -> RectangularSection | None:

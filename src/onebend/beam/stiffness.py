@@ -441,7 +441,7 @@ class Band:
     identified: BoolArray  # False where the prior sets the band, or k(s) is in doubt
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class UncertainStiffness:
     """`log k(s) = o(s) + sum_i c_i B_i(s) + g`: known `offset` o, coefficients c, common log scale g of sd `gain_sd`.
 
@@ -472,6 +472,12 @@ class UncertainStiffness:
                 f"{count} coefficients need a ({count}, {count}) covariance and {count + self.degree + 1} knots, "
                 f"got {self.covariance.shape} and {len(self.knots)}"
             )
+
+    def __repr__(self) -> str:
+        s = np.linspace(0.0, 1.0, 201)
+        (mean, _), width = self.log_at(s), half_width_words(float(np.median(self.half_width(s))))
+        k, doubts = np.exp(mean), f", doubts: {'; '.join(self.doubts)}" if self.doubts else ""
+        return f"UncertainStiffness(k={k.min():.3g} to {k.max():.3g} N m, {width} (95 %, median){doubts})"
 
     @property
     def profile(self) -> LogSpline:

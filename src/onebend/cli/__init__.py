@@ -9,10 +9,12 @@ from __future__ import annotations
 import gc
 import json
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from contextvars import ContextVar
+from difflib import get_close_matches
 from functools import wraps
 from importlib import import_module
 from inspect import Parameter, Signature, signature
@@ -33,6 +35,7 @@ BY = f"{NAME} {onebend.__version__}"
 MOST_NEW = 100_000  # objects between garbage collections, which otherwise take a 20th of the time
 HELP = ("-h", "--help")
 OPTIONS = Path(__file__).parent / "options.json"
+UsageError: Any = typer.BadParameter.__mro__[1]  # of every wrong option; it has no public name
 COMPLETE = "_ONEBEND_COMPLETE"  # Typer's variable for the completing shell
 
 
@@ -242,13 +245,35 @@ class Command(TyperCommand):
             described.make_context(
                 info_name, list(args), *more, **kwargs
             )  # returns only if `--help` is not an option here
-        return self.loaded().make_context(info_name, args, *more, **kwargs)
+        command = self.loaded()
+        try:
+            return command.make_context(info_name, args, *more, **kwargs)
+        except UsageError as wrong:
+            wrong.message = plainer(wrong, command.params)
+            raise
+
+
+def plainer(wrong: Any, params: Iterable[Any]) -> str:
+    """The message of a wrong option, with the values that it needs, or the nearest word that it knows."""
+    text, named = wrong.message, getattr(wrong, "option_name", "")
+    param = getattr(wrong, "param", None) or next((one for one in params if named and named in one.opts), None)
+    if param is not None and ("requires" in text or "valid number" in text):
+        count = "a number" if param.nargs == 1 else f"{param.nargs} numbers"
+        return f"{param.opts[0]} needs {count}: {param.metavar}"
+    if match := re.search(r"'([^']*)' is not one of (.*)\.$", text):
+        near = get_close_matches(match[1], re.findall(r"'([^']*)'", match[2]), n=1)
+        return f"{text} Did you mean {near[0]}?" if near else text
+    return str(text)
 
 
 class Commands(TyperGroup):
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
         self.commands = {name: Command(name, place) for name, place in all_commands().items()}
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """`onebend help learn` is `onebend learn --help`."""
+        return list(super().parse_args(ctx, [*args[1:2], HELP[1]] if args[:1] == ["help"] else args))
 
 
 app = typer.Typer(
@@ -276,7 +301,9 @@ def _print_completion(shell: str | None) -> None:
         raise typer.Exit
 
 
-Version = Annotated[bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Print the version.")]
+Version = Annotated[
+    bool, typer.Option("--version", "-V", callback=_say_version, is_eager=True, help="Print the version.")
+]
 Completion = Annotated[
     Literal["bash", "zsh", "fish"] | None,
     typer.Option(

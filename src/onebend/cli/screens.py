@@ -25,7 +25,7 @@ from onebend.learning.verdict import fitted_rms
 from onebend.records import Array, BoolArray, Observations
 from onebend.report import confidence, wording
 from onebend.report.sentences import all_remarks, pair_remarks, say, worded
-from onebend.report.verdict import hopeless, verdict_of
+from onebend.report.verdict import hopeless, validation_verdict, verdict_of
 from onebend.report.wording import millimetres, significant
 from onebend.results.model import StoredModel
 
@@ -112,26 +112,6 @@ def half_widths(band: Band) -> list[str]:
     """ "7.4 %", "x 2.4"."""
     halves = 0.5 * np.log(band.high / band.low)
     return [half_width_words(float(half)).removeprefix("± ").replace("a factor of ", "x ") for half in halves]
-
-
-def estimate_table(
-    uncertain: UncertainStiffness, regression: Learned | None, modulus: confidence.ModulusRows | None = None
-) -> Table:
-    s = np.linspace(0.0, 1.0, 11)
-    band = uncertain.band(s)
-    known = ["yes" if one else "no" for one in band.identified]
-    k, low, high = ([significant(float(value)) for value in values] for values in (band.k, band.low, band.high))
-    named: list[tuple[str, Sequence[str]]] = [("s", [f"{place:.1f}" for place in s]), ("k [N m]", k)]
-    named += [("± 95 %", half_widths(band)), ("from", low), ("to", high), ("identified", known)]
-    if regression is not None:
-        papers = [f"[dim]{significant(float(value))}[/]" for value in regression.beam.stiffness(s)]
-        named.append(("paper's k", papers))
-    if modulus is not None:
-        named += [(f"E [{modulus.unit}]", modulus.values), ("from", modulus.low), ("to", modulus.high)]
-    table = listing(None, *(name for name, _ in named), gap=2)
-    for cells, there in zip(zip(*(values for _, values in named), strict=True), band.identified, strict=True):
-        table.add_row(*cells, style="" if there else "bright_black")
-    return table
 
 
 def nuisance_table(nuisances: Sequence[Nuisance]) -> Table:
@@ -454,11 +434,7 @@ def _as_logged_words(run: Run, posterior: Posterior) -> list[str]:
 def _fit(run: Run, posterior: Posterior) -> list[RenderableType]:
     uncertain = posterior.stiffness
     blind = confidence.unidentified_words(uncertain, len(run.recordings))
-    found: list[RenderableType] = [
-        estimate_table(
-            uncertain, run.learned, confidence.modulus_rows(confidence.measured_beam(run), np.linspace(0.0, 1.0, 11))
-        )
-    ]
+    found: list[RenderableType] = []
     force = [
         confidence.scale_words(posterior.gain_sd, run.recordings),
         *confidence.load_error_words(posterior.load_error),
@@ -489,17 +465,14 @@ def say_path(console: Console, what: str, path: Path) -> None:
 
 
 def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observations]], out: Path | None) -> None:
-    console.print(comparison_table([comparison for comparison, _ in pairs], "Validation"))
-    console.print()
-    console.print(
-        remarks_list(
-            [
-                (comparison.name, remark)
-                for comparison, recording in pairs
-                for remark in pair_remarks(comparison, recording)
-            ]
-        )
-    )
+    comparisons = [comparison for comparison, _ in pairs]
+    if verdict := validation_verdict(comparisons):
+        console.print(Text.assemble(("verdict   ", "dim"), (verdict, "bold")))
+    console.print(comparison_table(comparisons, "Validation"))
+    remarks = [(one.name, remark) for one, recording in pairs for remark in pair_remarks(one, recording)]
+    if remarks:
+        console.print()
+        console.print(remarks_list(remarks, title=None))
     if out is not None:
         say_path(console, "\ntables and figures", out)
 

@@ -264,7 +264,7 @@ def resolved(candidate: ReachCandidate, goal: Array, settings: ReachSettings) ->
 __all__ = ["Reach", "ReachSettings", "reach"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Reach:
     """A force for a goal, or the reason why there is none, with the nearest point found."""
 
@@ -278,6 +278,10 @@ class Reach:
     iterations: int
     nearest: NearestPoint | None  # to an unreachable goal
     known: bool = False  # one step from a precomputed equilibrium
+
+    def __repr__(self) -> str:
+        goal, force = (", ".join(f"{value:.4g}" for value in values) for values in (self.goal, self.force))
+        return f"Reach(goal=({goal}) m, {f'force=({force}) N' if self.converged else f'no force: {self.reason}'})"
 
     @property
     def beam(self) -> Beam:

@@ -689,7 +689,7 @@ class Effect:
 
     cause: str  # its name in the reports; several may share one
     allowance: Callable[[PushCourse], Allowance | None]  # None where the course cannot show it
-    live: bool = True  # it needs no later frame and no place of the camera
+    live: bool = True  # it needs no later frame, no place of the camera, and no prior with mass near nothing
 
 
 EFFECTS: Mapping[str, Effect] = MappingProxyType(
@@ -703,7 +703,7 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(
         "angle discrepancy": Effect(LEFT, angle_discrepancy),
         "outline": Effect("outline", outline_error, live=False),
         "slide": Effect("sliding contact", sliding),
-        "rub": Effect("friction of the tool", rubbing),
+        "rub": Effect("friction of the tool", rubbing, live=False),
         "posture": Effect("posture-dependent bias", posture_bias),
         "heights": Effect("camera", _heights, live=False),
         "rolling shutter": Effect("camera", _rows, live=False),

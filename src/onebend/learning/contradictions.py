@@ -27,7 +27,7 @@ _NAMED = 0.3  # of all together: smaller ones are not named
 _LARGE = 1.0  # of log k: the sizes are of first order
 _PLACED = 4.0  # tolerances, beyond which the places of the tags at rest contradict recording.toml
 _LITTLE = 0.3  # of the largest motion of a tag: a miss of one that moves less says little
-_OF_LENGTHS = 2.0  # relative change of k with all measured lengths: of the lever of the force, and of the bend
+_OF_LENGTHS = 1.0  # relative change of k with all measured lengths: shapes and k scale alike
 _STATED = {  # what a cause is of, in words
     "along": "the place of a tag",
     "across": "the place of a tag",

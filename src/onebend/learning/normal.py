@@ -273,8 +273,8 @@ TAU, RHO = 2.0, 0.2  # expected roughness of log k; steps and bumps of it per un
 SPREAD = np.array([1.6, 2.0])  # one sd of their logs: even beams have next to no steps, pieced ones large ones
 JUMP = 1.0  # of log k: a single step or bump is hardly ever larger than two of these
 _LEAST_INFORMATION = 1e-4  # information of a direction of log k below which the data are uninformative
-STEP_DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])  # a step of tau, of rho, of both
-WIDE_SHARE = 0.3  # share of wide proposals
+_STEP_DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])  # a step of tau, of rho, of both
+_WIDE_SHARE = 0.3  # share of wide proposals
 _STRATA = (np.arange(15) + 0.5) / 15.0  # of a normal that a mixture is made of
 
 
@@ -326,25 +326,18 @@ def drawn_sizes(spline: Spline, logs: Array, local: Array, rng: np.random.Genera
     return np.asarray((0.5 + 0.5 * (local / scale) ** 2) / rng.standard_exponential(local.shape))
 
 
-class _Target:
+class Target:
     """The density that the chains draw from."""
 
-    def __init__(self, spline: Spline, forms: Sequence[InformationForm], level: float, each: int) -> None:
-        self.spline, self.weights = spline, spline.parts
-        rows, seen = [], []
-        for form in forms:
-            e, u = np.linalg.eigh(form.matrix)
-            root = np.sqrt(np.maximum(e, _LEAST_INFORMATION))
-            rows.append(root[:, None] * u.T)
-            seen.append((u.T @ form.vector) / root - rows[-1] @ np.full(spline.count, level))
-        kept = max(int(np.max(np.sum([np.linalg.eigvalsh(t.matrix) > _LEAST_INFORMATION for t in forms], axis=1))), 1)
-        self.seen = np.repeat(np.stack(seen)[:, -kept:], each, axis=0)  # (B, r)
-        self.on_parts = np.repeat(np.stack(rows)[:, -kept:], each, axis=0) @ self.weights  # (B, r, n)
+    def __init__(self, spline: Spline, rows: Array, seen: Array, share: Array) -> None:
+        """B chains: the information on log k less its level as `rows` (B, r, p) of unit noise and what they showed,
+        `seen` (B, r); `share` (B,) of each chain in the posterior."""
+        self.spline, self.weights, self.seen, self.share = spline, spline.parts, seen, share
+        self.on_parts = rows @ self.weights  # (B, r, n)
         line, smooth, local = np.split(self.on_parts, [2, spline.count], axis=-1)
-        self.line = (line * spline.variances(TAU, RHO)[:2]) @ np.swapaxes(line, 1, 2) + np.eye(kept)
+        self.line = (line * spline.variances(TAU, RHO)[:2]) @ np.swapaxes(line, 1, 2) + np.eye(seen.shape[1])
         self.smooth = smooth @ np.swapaxes(smooth, 1, 2)
         self.on_local = np.ascontiguousarray(local)
-        self.share = np.repeat([t.weight for t in forms], each) / each
         self.local = slice(spline.count, self.weights.shape[1])  # steps and bumps
 
     def at(self, logs: Array, own: Array) -> _Chains:
@@ -362,8 +355,8 @@ class _Target:
     def moved(self, now: _Chains, rng: np.random.Generator) -> _Chains:
         """One step of every chain."""
         count = len(now.logs)
-        stride = np.where(rng.random((count, 1)) < WIDE_SHARE, 1.5, 0.5) * SPREAD
-        ways = STEP_DIRECTIONS[rng.integers(0, 3, count)]
+        stride = np.where(rng.random((count, 1)) < _WIDE_SHARE, 1.5, 0.5) * SPREAD
+        ways = _STEP_DIRECTIONS[rng.integers(0, 3, count)]
         tried = self.at(now.logs + ways * stride * rng.standard_normal((count, 2)), now.own)
         taken = np.log(rng.random(count)) < tried.value - now.value
         logs = np.where(taken[:, None], tried.logs, now.logs)
@@ -378,6 +371,19 @@ class _Target:
         missed = self.seen - (self.on_parts @ drawn[..., None])[..., 0] - rng.standard_normal(self.seen.shape)
         local = np.einsum("brn,br->bn", self.on_local, _each(dpotrs, root, missed))
         return np.asarray(drawn[:, self.local] + variance[:, self.local] * local)
+
+
+def target_of(spline: Spline, forms: Sequence[InformationForm], level: float, each: int) -> Target:
+    """Of log k around `level`, `each` chains for every form, by its directions with information."""
+    rows, seen = [], []
+    for form in forms:
+        e, u = np.linalg.eigh(form.matrix)
+        root = np.sqrt(np.maximum(e, _LEAST_INFORMATION))
+        rows.append(root[:, None] * u.T)
+        seen.append((u.T @ form.vector) / root - rows[-1] @ np.full(spline.count, level))
+    kept = max(int(np.max(np.sum([np.linalg.eigvalsh(t.matrix) > _LEAST_INFORMATION for t in forms], axis=1))), 1)
+    on_log_k, shown = (np.repeat(np.stack(one)[:, -kept:], each, axis=0) for one in (rows, seen))
+    return Target(spline, on_log_k, shown, np.repeat([t.weight for t in forms], each) / each)
 
 
 def _each(solver: Callable[..., Any], roots: Array, right: Array) -> Array:
@@ -401,7 +407,7 @@ def mean_part_variances(
 
     A sharp joint is found late by chains that begin anywhere; they begin where others ended (`start`) if given.
     """
-    chains = list(_drawn_chains(_Target(spline, [form], level, draws.chains), draws, start))
+    chains = list(drawn_chains(target_of(spline, [form], level, draws.chains), draws, start))
     return np.mean([one.variance.mean(axis=0) for one in chains], axis=0), chains[-1].stand
 
 
@@ -409,12 +415,21 @@ def stiffness_mixture(
     spline: Spline, forms: Sequence[InformationForm], level: float, draws: Draws, start: Array | None = None
 ) -> StiffnessMixture:
     """Posterior of log k around `level`; `start` as for `mean_part_variances`."""
-    target, p = _Target(spline, forms, level, draws.chains), spline.count
+    target = target_of(spline, forms, level, draws.chains)
+    mean, covariance, steps, (means, sds) = moments_of(target, list(drawn_chains(target, draws, start)))
+    shape = _shape(means, sds, np.tile(target.share, draws.kept) / draws.kept)
+    return StiffnessMixture(mean + level, covariance, steps, shape)
+
+
+def moments_of(target: Target, draws: Sequence[_Chains]) -> tuple[Array, Array, Array, Array]:
+    """Mean (p,) and covariance (p, p) of log k less its level, the mean steps (p - 1,), and means and sds (2, N, S) of
+    the normals that the mixture is made of, at `SHAPE_PLACES`."""
+    p = target.spline.count
     mean, second, marginals = np.zeros(p), np.zeros((p, p)), []
     parts = np.zeros(target.weights.shape[1])
-    basis = spline.basis(SHAPE_PLACES)  # (S, p)
+    basis = target.spline.basis(SHAPE_PLACES)  # (S, p)
     squares = (basis @ target.weights).T ** 2  # (n, S)
-    for now in _drawn_chains(target, draws, start):
+    for now in draws:
         of_parts = now.variance * np.einsum("brn,br->bn", target.on_parts, _each(dpotrs, now.root, target.seen))
         means = of_parts @ target.weights.T
         away = _each(dtrtrs, now.root, (target.on_parts * now.variance[:, None]) @ target.weights.T)  # (B, r, p)
@@ -425,16 +440,16 @@ def stiffness_mixture(
         parts += target.share @ of_parts
         left = now.variance @ squares - np.sum((away @ basis.T) ** 2, axis=1)
         marginals.append(np.stack([means @ basis.T, np.sqrt(np.maximum(left, 0.0))]))
-    mean, second, parts = mean / draws.kept, second / draws.kept, parts / draws.kept
+    mean, second, parts = mean / len(draws), second / len(draws), parts / len(draws)
     covariance = second - np.outer(mean, mean)
-    means, sds = np.concatenate(marginals, axis=1)
-    shape = _shape(means, sds, np.tile(target.share, draws.kept) / draws.kept)
-    return StiffnessMixture(mean + level, 0.5 * (covariance + covariance.T), parts[p : 2 * p - 1], shape)
+    return mean, 0.5 * (covariance + covariance.T), parts[p : 2 * p - 1], np.concatenate(marginals, axis=1)
 
 
-def _drawn_chains(target: _Target, draws: Draws, start: Array | None) -> Iterator[_Chains]:
+def drawn_chains(
+    target: Target, draws: Draws, start: Array | None, rng: np.random.Generator | None = None
+) -> Iterator[_Chains]:
     """The kept draws; every run is the same."""
-    rng, count = np.random.default_rng(0), len(target.share)
+    rng, count = rng or np.random.default_rng(0), len(target.share)
     if start is None:  # draws from the prior
         logs = np.log([TAU, RHO]) + 0.7 * SPREAD * rng.standard_normal((count, 2))
         start = np.concatenate([logs, np.ones((count, 2 * target.spline.count - 1))], axis=1)

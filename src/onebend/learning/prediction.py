@@ -246,6 +246,10 @@ class TagRide:
         cos, sin = np.cos(self.angle), np.sin(self.angle)
         return paired(cos * self.over - sin * self.across, sin * self.over + cos * self.across)
 
+    def pose(self, xy: Array, origin: Array, turn: Array) -> Array:
+        """(F, m, 3) of the tags in the picture, over places `xy` (F, m, 2) m of the beam; `turn` (m,) rad on it."""
+        return np.concatenate([self.scale * (xy + self.offset) + origin, (self.angle + turn)[..., None]], axis=-1)
+
     def carry(self, response: Array) -> Array:
         """(F, m, 3, P) of the tags in the picture, from that of the beam's places under them."""
         offset, turn = self.offset, response[:, :, 2:]
@@ -646,10 +650,9 @@ def predict(data: FitData, layout: Layout, x: Array, start: Array | None, own: A
     else:
         solved = free_ends(problem, data.poses, start)
     (s, _), ride = state.places(solved), state.ride(solved)
-    xy = ride.scale * (solved.xy(s) + ride.offset) + value("origin")
+    pose = ride.pose(solved.xy(s), value("origin"), data.of_tags(value("turn")))
     if data.rulers is not None:
-        xy = paired(data.rulers, xy[..., 1] + value("across"))
-    pose = np.concatenate([xy, (ride.angle + data.of_tags(value("turn")))[..., None]], axis=-1)
+        pose[..., :2] = paired(data.rulers, pose[..., 1] + value("across"))
     for (i, c), zero in zip(zeroed_coordinates(data.observations), value("zero"), strict=True):
         pose[:, i, c] -= zero
     return Prediction(data, layout, x, solved, pose + allowed("poses"), force, own)

@@ -357,15 +357,14 @@ class _Tags:
         self._turned = ways.sum(axis=-1).swapaxes(1, 2)  # (B, m, 2)
         scale, origin = 1.0 + float(layout.get(x, "scale")[0]), layout.get(x, "origin")
         self.ride = TagRide(problem.alpha0 + q @ integral.T, over, layout.get(x, "across"), scale)
-        xy = self._xy + self.ride.offset
-        self.pose = np.concatenate([scale * xy + origin, (self.ride.angle + layout.get(x, "turn"))[..., None]], axis=-1)
+        self.pose = self.ride.pose(self._xy, origin, layout.get(x, "turn"))
         on_beam = over <= 0.0
         onward = float(problem.length) / session.length * (value @ slope)
         if not np.all(on_beam):
             tangent_there = paired(np.cos(self.ride.angle), np.sin(self.ride.angle))
             onward = np.where(on_beam[:, None], onward, tangent_there)
         bend = (q @ value.T) * (on_beam / session.length)
-        self.motion = self.ride.motion(xy, bend, onward)
+        self.motion = self.ride.motion(self._xy + self.ride.offset, bend, onward)
 
     def add_direct(self, response: Array, columns: ResponseColumns) -> None:
         """Add what moves the beam's places (B, m, 3, P) at fixed curvature: a turn of the clamp, strain, length."""

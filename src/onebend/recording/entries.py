@@ -409,7 +409,7 @@ class TagsEntry:
 
 @dataclass(frozen=True)
 class OutlineEntry:
-    """[outline]: the body's own edges in the film, beside its tags or without any (then the table may be missing)."""
+    """[outline]: the body's own edges in the film, beside its tags or without any; the table may be missing."""
 
     use: bool = key("use = true", flag, "whether the edges are looked for", True)
     width: float = key(

@@ -18,7 +18,7 @@ from onebend.recording.clock import ClockSettings
 from onebend.recording.entries import Recording, TagsEntry, VideoEntry
 from onebend.recording.folder import FILE_NAME, read_recording
 from onebend.recording.force import ContactSettings, ForceSettings, find_contact
-from onebend.recording.outline import outline_track
+from onebend.recording.outline import with_outline
 from onebend.recording.pairing import (
     check_direction,
     check_place,
@@ -50,7 +50,6 @@ from onebend.records import (
     BoolArray,
     Detections,
     ForceLog,
-    IntArray,
     Markers,
     Observations,
     Source,
@@ -139,7 +138,7 @@ def _shown(
     searched, number = detections.of_searched()
     markers = markers_of(rec, searched)
     if rec.traces_outline:
-        markers = with_outline(rec, markers, searched, number, progress)
+        markers = with_outline(rec, markers, searched, number, progress=progress)
     seen = assemble(rec, markers, log, base, settings)
     base_angle = markers.base_angle[seen.frame]
     seen = replace(seen, frame=number[seen.frame])
@@ -154,18 +153,6 @@ def markers_of(rec: Recording, detections: Detections) -> Markers:
     markers = measure_markers(detections, rec)
     check_turns(markers, rec)
     return markers
-
-
-def with_outline(
-    rec: Recording, markers: Markers, detections: Detections, number: IntArray, progress: Progress = Silent()
-) -> Markers:
-    """The `markers` of these detections, in frames of this `number`, with points of the body's outline."""
-    assert markers.view is not None
-    base = detections.corners[:, : len(rec.tags.on_base)]
-    outline = outline_track(rec, markers.view, base, number, progress=progress)
-    hung: BoolArray = ~np.asarray(np.isfinite(detections.corners).any(axis=(1, 2, 3)))
-    outline = replace(outline, sd=np.where(hung[:, None], np.nan, outline.sd))
-    return measure_markers(detections, rec, outline)
 
 
 def observe_markers(

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, track
-from onebend.recording.camera import project
+from onebend.recording.camera import measure_markers, project
 from onebend.recording.entries import Recording
 from onebend.recording.video import picture_in, timed, upright
-from onebend.records import Array, BoolArray, IntArray, OutlineTrack, Remark, View
+from onebend.records import Array, BoolArray, Detections, IntArray, Markers, OutlineTrack, Remark, View
 
 NORMAL = 1.4826  # sd of a normal distribution over its median deviation
 
@@ -581,6 +581,103 @@ def outline_track(
     refuse_lost(middle, found, ~hidden, rec.name)
     out = points_of(middle, found, stations, [Sight(_NO_PLANES, view, one) for one in shift], scale)
     return replace(out, remarks=lost_remarks(found))
+
+
+# Beside tags the outline is used only where it agrees with them. A tag may sit beside the middle of the body, by its
+# placement; as the body bends, it stays there.
+
+EVERY = 0.1  # s: so often is the outline read beside tags, which are read in every frame
+BESIDE = 3e-4  # m: one sd of where a tag's middle seems to lie, besides its placement
+MOVED = 5e-3  # of the length: a line that moves more against a tag is not the body's
+
+
+def with_outline(
+    rec: Recording,
+    markers: Markers,
+    detections: Detections,
+    number: IntArray,
+    *,
+    apart: bool = False,
+    progress: Progress = Silent(),
+) -> Markers:
+    """The `markers` of these detections, in frames of this `number`, with points of the body's outline; a note where
+    there are tags that the outline does not agree with, and it is left out.
+
+    Raises:
+        RecordingError, ObservationError: as `outline_track`, the second without tags on the body.
+    """
+    assert markers.view is not None
+    base = detections.corners[:, : len(rec.tags.on_base)]
+    try:
+        every = (
+            max(1, round(EVERY / float(np.median(np.diff(detections.time))))) if rec.tags.on_beam and not apart else 1
+        )
+        kept = np.arange(0, len(number), every)
+        outline = outline_track(rec, markers.view, base[kept], number[kept], apart=apart, progress=progress)
+        outline = spread_over(outline, kept, len(number))
+        hung: BoolArray = ~np.asarray(np.isfinite(detections.corners).any(axis=(1, 2, 3)))
+        outline = replace(outline, sd=np.where(hung[:, None], np.nan, outline.sd))
+        both = measure_markers(detections, rec, outline)
+        doubt = contradicted(both, rec)
+    except ObservationError as wrong:
+        if not rec.tags.on_beam:
+            raise
+        doubt = str(wrong).split(". ")[0].removeprefix(f"{rec.name}: ")
+    return replace(markers, remarks=(*markers.remarks, left_out(doubt))) if doubt else both
+
+
+def spread_over(outline: OutlineTrack, kept: IntArray, count: int) -> OutlineTrack:
+    """The outline of the frames `kept` among `count`: not seen in the others, where its curve runs between those."""
+    every = np.arange(count)
+    after = np.clip(np.searchsorted(kept, every), 1, len(kept) - 1) if len(kept) > 1 else np.zeros(count, dtype=int)
+    before = np.maximum(after - 1, 0)
+    share = np.clip((every - kept[before]) / np.maximum(kept[after] - kept[before], 1), 0.0, 1.0)[:, None, None]
+    px, ahead = ((1.0 - share) * one[before] + share * one[after] for one in (outline.px, outline.ahead))
+    sd = np.full((count, outline.sd.shape[1]), np.nan)
+    sd[kept] = outline.sd
+    return replace(outline, px=px, ahead=ahead, sd=sd)
+
+
+def left_out(why: str) -> Remark:
+    """That the tags alone are used."""
+    return Remark("note", f"The body's outline is not used beside the tags: {why}.")
+
+
+def contradicted(both: Markers, rec: Recording) -> str:
+    """Where the outline contradicts the tags, in words; "" where it does not, or there are none between its points."""
+    assert both.traced is not None
+    points = np.flatnonzero(both.traced)
+    for tag in np.flatnonzero(~both.traced).tolist():
+        before, after = points[both.s[points] < both.s[tag]], points[both.s[points] > both.s[tag]]
+        if not len(before) or not len(after):
+            continue
+        away = _from_line(both, tag, before[-1], after[0], rec.beam.length)
+        away = away[np.isfinite(away)]
+        if not len(away):
+            continue
+        beside = float(np.median(away))
+        moved = float(np.max(np.abs(away - beside)))
+        name, most = f"tag {both.tag_id[tag]}", 3.0 * math.hypot(rec.tags.placement_sd, BESIDE)
+        if abs(beside) > most:
+            return f"it passes {1e3 * abs(beside):.2g} mm beside the middle of {name}"
+        if moved > MOVED * rec.beam.length:
+            return f"it moves by up to {1e3 * moved:.2g} mm against {name}"
+    return ""
+
+
+def _from_line(both: Markers, tag: int, before: int, after: int, length: float) -> Array:
+    """(T,) m of a tag to the left of the curve through two points of the outline with their directions (Hermite)."""
+    span = float(both.s[after] - both.s[before])
+    u = float(both.s[tag] - both.s[before]) / span
+    ends = [both.xy[:, before], both.xy[:, after]]
+    slopes = [
+        span * length * np.stack([np.cos(both.angle[:, i]), np.sin(both.angle[:, i])], axis=1) for i in (before, after)
+    ]
+    rise = u * u * (3.0 - 2.0 * u)
+    line = (1.0 - rise) * ends[0] + rise * ends[1] + u * (1.0 - u) * ((1.0 - u) * slopes[0] - u * slopes[1])
+    chord = ends[1] - ends[0]
+    left = np.stack([-chord[:, 1], chord[:, 0]], axis=1) / np.linalg.norm(chord, axis=1)[:, None]
+    return np.asarray(np.sum((both.xy[:, tag] - line) * left, axis=1))
 
 
 def refuse_lost(middle: Middle, found: OutlineSearch, shown: BoolArray, name: str) -> None:

@@ -13,7 +13,7 @@ from onebend.errors import OnebendError, told
 from onebend.progress import available_cores
 from onebend.recording.camera import check_turns, measure_markers
 from onebend.recording.entries import Recording, VideoEntry
-from onebend.recording.outline import outline_track
+from onebend.recording.outline import with_outline
 from onebend.recording.tag_finder import Finder, Sighting
 from onebend.recording.tags import refuse_doubles, refuse_unseen, sure_doubles, take, unseen_remarks
 from onebend.recording.tool import ToolPlace, not_seen, tool_in, tool_remarks
@@ -86,9 +86,8 @@ def look_at(rec: Recording, *, count: int = LOOKS) -> Preview:
         markers = measure_markers(detections, rec)
         check_turns(markers, rec)
         if rec.traces_outline and markers.view is not None:
-            numbers, base = np.array([frame.index for frame in looked]), corners[:, : len(rec.tags.on_base)]
-            outline = outline_track(rec, markers.view, base, numbers, apart=True)
-            markers = measure_markers(detections, rec, outline)
+            numbers = np.array([frame.index for frame in looked])
+            markers = with_outline(rec, markers, detections, numbers, apart=True)
         few = of_markers(markers, read_before_fit(markers))
         tool = tool_in([frame.luma for frame in looked], rec, few, bent(few))
         remarks += tool_remarks(tool, rec)

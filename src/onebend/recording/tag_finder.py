@@ -266,7 +266,7 @@ HALF_PIXEL = 0.5  # the detector puts pixel centres at halves, we at whole numbe
 SMALL, TINY = 3.5, 3.0  # px, a cell's side: below, tags are searched without blur, and in an enlarged picture
 LARGE = 100.0  # px, a tag's side: from twice that on, it is searched in a picture reduced by a whole number
 REDUCED = (2, 4)  # of a whole picture in which tags are missing
-LEAST_PART = 8  # px: smaller parts of a picture are not searched
+LEAST_PART = 8  # px: smaller pictures, and parts of one, are not searched
 CHANCE = 1e-4  # that what is no tag reads as one: small tags of a whole picture are read with as many errors
 RATIO = 2.0  # of the sides of what is found and what was expected: more is another thing
 NEAR = 0.25  # margin around an expected tag, in tag sizes
@@ -338,7 +338,9 @@ class Finder:
         ]
 
     def search(self, picture: Picture, how: Search) -> list[Sighting]:
-        """Every tag that one search finds, the most certain first."""
+        """Every tag that one search finds, the most certain first; none in a picture of a few pixels."""
+        if min(picture.shape) < LEAST_PART * how.reduced:  # the detector crashes on two by two
+            return []
         pointer: Any = self._detector.tag_detector_ptr
         settings = pointer.contents
         settings.quad_sigma, settings.decode_sharpening = how.blur, how.sharpening

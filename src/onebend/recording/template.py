@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -27,11 +27,12 @@ from onebend.recording.entries import (
 )
 from onebend.recording.folder import FILE_NAME
 from onebend.recording.force_log import OTHER_TIME, TIMES, likely_forces, unit_in_name
-from onebend.recording.preview import LOOKS, search, spread_frames
 from onebend.recording.schema import keys_of
-from onebend.recording.tag_finder import Sighting
-from onebend.recording.video import FilmFrame, opened
 from onebend.text_files import csv_rows, to_json
+
+if TYPE_CHECKING:
+    from onebend.recording.tag_finder import Sighting
+    from onebend.recording.video import FilmFrame
 
 Kind = Literal["video", "ros", "photos", "weights", "mocap"]
 WHAT: dict[Kind, str] = {
@@ -134,6 +135,9 @@ def told_by_files(folder: Path, kind: Kind) -> Told:
 
 def told_by_film(path: Path) -> Told:
     """Frame rate, date and tags. The tag that moves least is on the base; the others follow by their distance."""
+    from onebend.recording.preview import LOOKS, spread_frames  # here: without a film nothing decodes one
+    from onebend.recording.video import opened
+
     frames, _, whole = spread_frames(VideoEntry(file=path), LOOKS)
     height, width = frames[0].luma.shape
     with opened(path) as container:
@@ -157,6 +161,8 @@ def told_by_film(path: Path) -> Told:
 
 
 def _tags_in(frames: list[FilmFrame]) -> tuple[str, tuple[tuple[Sighting, ...], ...]]:
+    from onebend.recording.preview import search  # here, as above
+
     for family in FAMILIES:
         found = search(frames, family, ())
         if any(found):

@@ -386,7 +386,7 @@ def _at(found: Sequence[Sequence[Meeting]], left: bool, s: float) -> list[Meetin
 
 
 FREEDOM = 4.0  # degrees of freedom of Student's t
-TOUCH = 1.0 / 8.0  # of the width: one sd of the place at which it touches about the middle of its end
+TOUCH = 1.0 / 6.0  # of the width: one sd of the place at which it touches about the middle of its end
 ROLLS = TOUCH  # of the width, per rad that the beam turns: by so much that place may move
 LIFTED = 0.5  # of the width: one sd of the height over the tags' plane at which the tool is seen
 

@@ -594,6 +594,9 @@ ARROW = 0.3  # of the beam's length
 _EDGED_NARROW: dict[str, Any] = {"path_effects": [withStroke(linewidth=3.6, foreground="white")]}
 
 
+MOST_NAMED_POSES = 12  # in one picture
+
+
 def check_png(found: Overview) -> bytes | None:
     """A frame with tags, axis and largest force, and the force in time; without a film the tags in the plane, or
     None."""
@@ -681,13 +684,25 @@ def _tool(axes: Axes, preview: Preview, view: View, s: Array, points: Array) -> 
 def _plane(axes: Axes, found: Overview) -> None:
     assert found.observations is not None
     o = found.observations
-    for i, tag in enumerate(o.tag_id.tolist()):
-        axes.plot(*(1000.0 * o.xy[:, i]).T, ".", markersize=3, label=f"tag {tag}, s = {o.marker_s[i]:.3g}")
+    if o.poses is not None and len(o.time) <= MOST_NAMED_POSES:
+        _poses(axes, o, o.poses.name)
+    else:
+        for i, tag in enumerate(o.tag_id.tolist()):
+            axes.plot(*(1000.0 * o.xy[:, i]).T, ".", markersize=3, label=f"tag {tag}, s = {o.marker_s[i]:.3g}")
     axes.plot([0.0, 1000.0 * o.length], [0.0, 0.0], color=BLUE, linewidth=1.4, label="the beam's x axis")
     axes.plot([0.0], [0.0], "s", color=INK)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set(xlabel="x [mm]", ylabel="y [mm]", title=f"{len(o.time)} poses of the tags, as read")
+    shown = "poses of the points" if o.static else "frames of the tags"
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", title=f"{len(o.time)} {shown}, as read")
     axes.legend(loc="best")
+
+
+def _poses(axes: Axes, o: Observations, names: Sequence[str]) -> None:
+    """A line from the clamp through the points of each pose."""
+    order = np.argsort(o.marker_s, kind="stable")
+    for xy, name in zip(o.xy[:, order], names, strict=True):
+        points = 1000.0 * np.concatenate([np.zeros((1, 2)), xy[np.isfinite(xy).all(axis=1)]])
+        axes.plot(*points.T, "o-", markersize=3, linewidth=1.0, label=figure_text(name))
 
 
 def _force(axes: Axes, found: Overview, log: ForceLog) -> None:

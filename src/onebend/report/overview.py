@@ -227,7 +227,7 @@ def _beam_rows(description: Recording) -> list[tuple[str, str]]:
     beam, tags = description.beam, description.tags
     mass = f"{1000 * beam.mass:.4g} g" if np.isfinite(beam.mass) else "mass not given"
     places = ", ".join(f"tag {tag.id} at s = {tag.s:.3g}" for tag in tags.on_beam) or "none on the body"
-    places += "; the body's outline is read" if description.traces_outline else ""
+    places += "; the body's outline is looked for" if description.traces_outline else ""
     base = ", ".join(f"tag {tag.id}" for tag in tags.on_base)
     weight = "acts in the plane of bending" if description.gravity is not None else "across the plane of bending"
     swings = [f"{one.hz:.5g} Hz (sd {one.sd:.2g})" for one in description.frequencies]

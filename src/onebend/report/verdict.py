@@ -212,7 +212,20 @@ def _use(findings: Run, error: _Error) -> str:
     if error.of != "validation":
         kind = "pose" if findings.recordings[0].static else "push"
         return say("use: fit" if error.of == "fit" else "use: logged", error=worst, kind=kind)
-    values = {"recording": error.name, "error": worst}
+    return _validated(error)
+
+
+def validation_verdict(comparisons: Sequence[Comparison]) -> str:
+    """What validations say of a beam, in one line; empty where nothing was seen."""
+    seen = [one for one in comparisons if np.isfinite(one.rms).any()]
+    own = [one.name for one in comparisons for remark in one.remarks if getattr(remark, "code", "") == "no validation"]
+    if own:
+        return say("validated: own data", recording=own[0])
+    return _validated(_worst("validation", seen, [one.rms for one in seen])) if seen else ""
+
+
+def _validated(error: _Error) -> str:
+    values = {"recording": error.name, "error": f"{millimetres(error.rms)} mm RMS (worst: {error.tag})"}
     share = f"{significant(100.0 * error.rms / error.motion, 2)} % of its motion"
     meaning = f"no good prediction, {share}" if error.failed else f"shapes are predicted to {share}"
     if not (math.isfinite(error.noise) and error.noise > 0.0):

@@ -23,7 +23,7 @@ from onebend.report.confidence import identified_ranges
 from onebend.report.page import page, shown_made_from
 from onebend.report.pictures import Pictures
 from onebend.report.sentences import all_remarks, pair_remarks, worded, words
-from onebend.report.verdict import verdict_of
+from onebend.report.verdict import validation_verdict, verdict_of
 from onebend.results.model import FILE_NAME, StoredModel, model_text, origin_of, stiffness_summary
 from onebend.results.observations_file import save_observations
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
@@ -137,7 +137,10 @@ def validation_summary(
     for comparison, recording in pairs:
         remarks = [remark.as_dict() for remark in pair_remarks(comparison, recording)]
         rows.append(comparison_summary(comparison) | {"remarks": remarks})
-    return {"format": VALIDATE_FORMAT, "written_by": written_by, "model": model, "validation": rows}
+    verdict = validation_verdict([comparison for comparison, _ in pairs])
+    return {
+        "format": VALIDATE_FORMAT, "written_by": written_by, "model": model, "verdict": verdict, "validation": rows
+    }  # fmt: skip
 
 
 def plan_summary(model: str, plan: Plan, *, written_by: str) -> dict[str, Any]:

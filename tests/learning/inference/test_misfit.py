@@ -14,7 +14,7 @@ from onebend.learning.linear import FitProblem
 from onebend.learning.optimizer import MapEstimate, Miss, first_problem, misses, refuse_lost_force
 from onebend.learning.parameters import Priors, Spline, make_layout
 from onebend.learning.prediction import Prediction, predict
-from onebend.records import Array
+from onebend.records import Array, Remark
 from tests.learning.bench import IDEAL, SOFT, forces, observed
 
 SD = 1e-4  # m, of each coordinate of a tag
@@ -101,7 +101,19 @@ def test_a_log_with_more_error_than_force_is_refused_with_both_sizes() -> None:
         refuse_lost_force(problem, estimate)
     error, force = (float(n) for n in re.findall(r"by ([\d.]+) N", str(refused.value)))
     assert error / force == pytest.approx(3.0, rel=0.1)
-    assert "Push harder, or take a force sensor" in str(refused.value)
+    assert "Check that this log is of this push, then start_s and the frame rate" in str(refused.value)
+    assert "push harder, or take a force sensor" in str(refused.value)
+
+
+def test_what_the_recording_was_warned_of_is_the_advice_where_the_force_is_lost() -> None:
+    problem, estimate = fit_with_error(3.0)
+    [data] = problem.recordings
+    warned = Remark("warning", "The film starts +3.01 s from start_s.", about="clock")
+    source = replace(data.observations.source, remarks=(warned,))
+    data = replace(data, observations=replace(data.observations, source=source))
+    with pytest.raises(LearningError, match=r"The film starts \+3.01 s from start_s.") as refused:
+        refuse_lost_force(replace(problem, recordings=(data,)), estimate)
+    assert "push harder" not in str(refused.value)
 
 
 @pytest.mark.parametrize(("share", "zero"), [(0.0, 0.0), (0.4, 0.0), (-0.5, 0.0), (0.1, 5.0)])

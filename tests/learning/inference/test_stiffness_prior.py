@@ -14,10 +14,10 @@ from onebend.learning.normal import (
     TAU,
     Draws,
     InformationForm,
-    _Target,
     drawn_sizes,
     part_variances,
     stiffness_mixture,
+    target_of,
 )
 from onebend.learning.parameters import LEVEL_SD, SLOPE_SD, Spline
 
@@ -166,7 +166,7 @@ def test_no_step_is_expected_to_be_much_larger_than_one_of_log_k() -> None:
 def test_steps_given_their_sizes_are_drawn_from_their_normal_posterior() -> None:
     spline, rng, count = Spline(6), np.random.default_rng(0), 20000
     root = rng.standard_normal((6, 6))
-    target = _Target(spline, [InformationForm(100.0 * root @ root.T, rng.standard_normal(6))], -4.0, 1)
+    target = target_of(spline, [InformationForm(100.0 * root @ root.T, rng.standard_normal(6))], -4.0, 1)
     now = target.at(np.log([[2.0, 3.0]]), np.ones((1, 11)))
     variance, on = now.variance[0], target.on_parts[0]
     gain = np.linalg.solve(on * variance @ on.T + np.eye(6), on * variance)  # (r, n)

@@ -197,6 +197,14 @@ def test_what_makes_no_sense_is_refused(settings: OnlineSettings, word: str) -> 
 
 def test_it_says_what_it_does_not_allow_for() -> None:
     learner = OnlineLearner(0.15, MARKERS, 0.03, settings=FEW)
-    assert learner.left_out == ("camera", "gravity direction", "heights", "inertia", "outline", "rolling shutter")
+    assert learner.left_out == (
+        "camera",
+        "gravity direction",
+        "heights",
+        "inertia",
+        "outline",
+        "rolling shutter",
+        "rub",
+    )
     ideal = OnlineLearner(0.15, MARKERS, 0.03, settings=replace(IDEAL_LIVE, functions=12))
     assert set(ideal.left_out) == OF_ONE

@@ -73,12 +73,11 @@ def test_the_directions_that_are_told_of_are_all_that_is_told(rows: int) -> None
     spline, rng = Spline(10), np.random.default_rng(rows)
     seen, level = 5.0 * rng.normal(size=(rows, 10)), -3.0
     form = InformationForm(seen.T @ seen, seen.T @ rng.normal(size=rows))
-    data = StiffnessChains(spline, level, 3.0, 0.1)._data(form)
-    assert len(data.values) == min(max(rows, 1), 10)
-    parts = spline.parts
-    np.testing.assert_allclose(data.on_parts.T @ data.on_parts, parts.T @ form.matrix @ parts, atol=1e-9)
-    right = parts.T @ (form.vector - form.matrix @ np.full(10, level))
-    np.testing.assert_allclose(data.on_parts.T @ data.values, right, atol=1e-8)
+    on_log_k, values = StiffnessChains(spline, level, 3.0, 0.1)._rows(form)
+    assert len(values) == min(max(rows, 1), 10)
+    np.testing.assert_allclose(on_log_k.T @ on_log_k, form.matrix, atol=1e-9)
+    right = form.vector - form.matrix @ np.full(10, level)
+    np.testing.assert_allclose(on_log_k.T @ values, right, atol=1e-8)
 
 
 def test_reading_changes_nothing() -> None:

@@ -45,7 +45,7 @@ FREE = Priors(
     direction=0.01,
 )  # nothing is frozen
 # What both have, in the same functions; the discrepancy has others, and moves the tags just as they say.
-ALLOWED = ("section", "relaxation", "slide", "rub", "clamp gives", "posture", "patches", "length")
+ALLOWED = ("section", "relaxation", "slide", "clamp gives", "posture", "patches", "length")
 BLOCKS = (
     "stiffness",
     "curvature",

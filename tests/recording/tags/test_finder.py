@@ -107,3 +107,9 @@ def test_a_tag_of_hundreds_of_pixels_is_found_where_it_is(finder: Finder) -> Non
     assert np.abs((found.corners + 0.5) / times - 0.5 + np.array([left, top]) - true).max() < 0.3  # of its 28 px before
     (near,) = finder.look_around(large, found.corners, 100.0)
     assert np.abs(near.corners - found.corners).max() < 0.3 * times
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 2), (8, 8), (9, 31), (16, 640)])
+def test_pictures_of_a_few_pixels_hold_no_tag(shape: tuple[int, int]) -> None:
+    """The detector's own code crashes on the smallest, which a reduced picture may become."""
+    assert Finder("tag36h11").look(np.full(shape, 200, dtype=np.uint8), [0]) == []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
+from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -18,10 +19,12 @@ from onebend.learning.validation import validate
 from onebend.learning.verdict import explained
 from onebend.report import figures as curves, figures as recordings, style
 from onebend.report.figures import centreline, largest_push, push_to_show, spread_of_pushes
+from onebend.report.overview import overview
 from onebend.report.style import BLUE, hue_of, named, png_of
 from tests import made_up
 from tests.made_up import with_source
 
+HUNG = Path(__file__).parents[3] / "examples" / "hung-weights"
 ONE = made_up.comparison()
 SEEN = made_up.observations(one=ONE)
 FIT = made_up.posterior()
@@ -107,6 +110,17 @@ def test_no_plane_is_drawn_where_one_coordinate_alone_was_read() -> None:
     assert len(recordings.residuals(ONE).axes) == 2
     [over_time] = recordings.residuals(replace(ONE, measured=heights)).axes
     assert "distance" in over_time.get_ylabel()
+
+
+def test_the_poses_of_a_check_are_lines_with_names() -> None:
+    axes = recordings._drawn(overview(HUNG)).axes[0]
+    legend = axes.get_legend()
+    assert legend is not None
+    names = [text.get_text() for text in legend.get_texts()]
+    assert names[:6] == ["bare", "20 g tip", "50 g tip", "80 g tip", "50 g middle", "100 g middle"]
+    first = np.array(axes.lines[3].get_data(), dtype=float)
+    assert first[:, 0].tolist() == [0.0, 0.0]  # each from the clamp
+    assert first.shape == (2, 6)
 
 
 def test_stiffness_curve_is_the_beams() -> None:

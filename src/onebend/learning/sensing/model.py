@@ -25,12 +25,13 @@ from onebend.learning.allowances import camera, heights
 from onebend.learning.fit_data import REST_MODES
 from onebend.learning.frames import at_frames, known_loads
 from onebend.learning.paper import solve_states
-from onebend.learning.parameters import NEEDS_MASS, Priors, clamp_sd, curvature_sd, scale_sd, weighs
+from onebend.learning.parameters import NEEDS_MASS, STATED_ERRORS, Priors, weighs
 from onebend.learning.prediction import TagRide, tag_blocks
 from onebend.learning.static_poses import RESOLUTION
 from onebend.records import Array, IntArray, Observations
 
 LEARNED = ("curvature", "clamp", "origin", "along", "across", "turn")  # that a film of the same mounting has as well
+_RIDING = ("along", "across", "turn", "origin", "scale")  # of the tags, as `tag_blocks` has them
 _PLACES = 401
 _REMEMBERED = 50  # grids
 _SLIGHT = 3e-3  # of log k
@@ -75,21 +76,16 @@ def shared_prior(
     """As the recording states it, with the discrepancy of the `setup` in which the beam was learned, and the place of
     the contact to `place_sd` [m]; with `tags_as_learned`, rest curvature, clamp and tags are those of the set-up, with
     what their errors have in common with those of k(s)."""
-    o, priors = observations, Priors()
-    m, stated = len(o.marker_s), o.stated
+    o, m, tags = observations, len(observations.marker_s), [str(i) for i in observations.tag_id]
+    errors = {error.name: error for error in STATED_ERRORS}
+    stated = {name: errors[name].allowance([o], Priors(), tags).prior_sd for name in ("clamp", "curvature", *_RIDING)}
     ways = np.zeros((0, 0)) if stiffness is None else ways_of(stiffness)
     picture, picture_sd = picture_of(o)
     place, angle = (0.0, 0.0) if setup is None else (setup.discrepancy, setup.angle_discrepancy)
     sds = {
         "log k": np.ones(ways.shape[1]),
         "gain": np.full(1, 0.0 if stiffness is None else stiffness.gain_sd),
-        "clamp": np.full(1, clamp_sd(o, priors)),
-        "curvature": np.full(REST_MODES.n, curvature_sd(o, priors)),
-        "along": np.full(m, stated.placement_sd),
-        "across": np.full(m, stated.placement_sd),
-        "turn": np.full(m, stated.turn_sd),
-        "origin": np.full(2, stated.placement_sd),
-        "scale": np.full(1, scale_sd(o, priors)),
+        **stated,
         "discrepancy": np.concatenate([np.full(2 * m, place), np.full(m, angle)]),
         "picture": picture_sd,
         "place": np.full(1, place_sd),
@@ -288,7 +284,6 @@ def _as_known(bench: Bench, problem: Problem) -> Problem:
 # Where the tags are in a frame, and how they move with its force and place and with all that the frames share.
 
 AT_REST = np.array([-1], dtype=np.int64)  # the frame that shows the beam at rest
-_RIDING = ("along", "across", "turn", "origin", "scale")  # of the tags, as `tag_blocks` has them
 
 
 @dataclass(frozen=True)
@@ -307,12 +302,10 @@ def poses_of(bench: Bench, frames: IntArray, solved: Equilibrium) -> tuple[Array
     parts, mean, length = bench.parts, bench.mean, bench.observations.length
     at = bench.observations.marker_s + mean[parts["along"]] / length
     s = np.clip(at, 0.0, 1.0)
-    scale = 1.0 + bench.value("scale")
-    ride = TagRide(solved.angle(s), length * (at - s), mean[parts["across"]], scale)
-    xy = scale * (solved.xy(s) + ride.offset) + mean[parts["origin"]]
-    pose = np.concatenate([xy, (ride.angle + mean[parts["turn"]])[..., None]], axis=-1)
-    pose = pose + bench.prior.picture[frames] @ mean[parts["picture"]]
-    return pose + _left(bench, xy) @ mean[parts["discrepancy"]], ride, s
+    ride = TagRide(solved.angle(s), length * (at - s), mean[parts["across"]], 1.0 + bench.value("scale"))
+    pose = ride.pose(solved.xy(s), mean[parts["origin"]], mean[parts["turn"]])
+    seen = pose + bench.prior.picture[frames] @ mean[parts["picture"]]
+    return seen + _left(bench, pose[..., :2]) @ mean[parts["discrepancy"]], ride, s
 
 
 def tags_of(
