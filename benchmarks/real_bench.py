@@ -13,9 +13,11 @@ import json
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +54,8 @@ SMALL = replace(
 )
 PLACES = 60
 PLACEMENT_SD = 5e-4  # m, of tags by hand
-LOST = 0.7  # a run of which less is inside the 95 % band and that is trusted is counted
+LOST = 0.85  # a run of which less is inside the 95 % band and that is trusted is counted
+WIDTHS = (0.0, 0.02, 0.03, 0.05, np.inf)  # of the sd of log k, that runs are sorted by
 ROOT = Path(__file__).parents[1]
 
 
@@ -72,7 +75,7 @@ class Outcome:
     trusted: bool = False
     seconds: float = float("nan")  # of the fit
     frames: int = 0
-    causes: tuple[str, ...] = ()
+    named: tuple[str, ...] = ()  # what the verdict names, the most important first
 
 
 def ranges_of(cell: str) -> EffectRanges:
@@ -129,7 +132,7 @@ def compared(found: Posterior, s: Array, truth: Array, outcome: Outcome) -> Outc
         width=float(np.mean(np.log(bands[-1].high / bands[-1].low)) / (2.0 * 1.96)),
         converged=found.optimum.converged,
         trusted=not found.doubts,
-        causes=tuple(one.score.suspect.name for one in found.criticism.causes),
+        named=tuple(one.name for one in found.attributions if one.matters),
     )
 
 
@@ -147,7 +150,7 @@ def study(wanted: Sequence[tuple[str, int]], jobs: int, path: Path) -> dict[tupl
     if path.is_file():
         for line in path.read_text(encoding="utf-8").splitlines():
             data = json.loads(line)
-            one = Outcome(**(data | {"causes": tuple(data["causes"]), "inside": tuple(data["inside"])}))
+            one = Outcome(**(data | {"named": tuple(data["named"]), "inside": tuple(data["inside"])}))
             done[one.cell, one.seed] = one
     path.parent.mkdir(parents=True, exist_ok=True)
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
@@ -182,6 +185,33 @@ def row(name: str, runs: Sequence[Outcome]) -> str:
     )
 
 
+def reliability(runs: Sequence[Outcome]) -> str:
+    """Shares inside the bands, by the width of the band."""
+    bands = " / ".join(f"{100 * level:.0f}" for level in LEVELS)
+    lines = [
+        f"| sd of log k [%] | runs | truth inside {bands} % band [%] | k off, RMS, median [%] |",
+        "| --- " * 4 + "|",
+    ]
+    for low, high in pairwise(WIDTHS):
+        here = [r for r in runs if low <= r.width < high]
+        if here:
+            inside = " / ".join(f"{100 * share:.0f}" for share in np.mean([r.inside for r in here], axis=0))
+            name = f"{100 * low:.0f} to {100 * high:.0f}" if np.isfinite(high) else f"{100 * low:.0f} and more"
+            lines.append(f"| {name} | {len(here)} | {inside} | {100 * np.median([r.error for r in here]):.1f} |")
+    return "\n".join(lines)
+
+
+def named_first(done: Mapping[tuple[str, int], Outcome]) -> str:
+    """What the verdict named first, by the effect that a bench had."""
+    lines = ["| the only effect | named first, by runs |", "| --- | --- |"]
+    for cell in CELLS:
+        runs = [r for (name, _), r in done.items() if name == cell and not r.failure]
+        if runs and cell not in ("all", "small"):
+            first = Counter(r.named[0] if r.named else "nothing" for r in runs)
+            lines.append(f"| {cell.removeprefix('only ')} | {', '.join(f'{n}: {c}' for n, c in first.most_common())} |")
+    return "\n".join(lines)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=40, help="with all effects, large and small")
@@ -203,6 +233,8 @@ def main() -> None:
     print("| --- " * 10 + "|")
     for cell in cells:
         print(row(cell, [one for (name, _), one in done.items() if name == cell]))
+    every = [one for one in done.values() if not one.failure]
+    print(row("all of these", every), "", reliability(every), "", named_first(done), sep="\n")
 
 
 if __name__ == "__main__":

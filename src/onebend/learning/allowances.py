@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Literal
@@ -31,6 +31,7 @@ Entry = Literal["log k", "force", "place", "load", "clamp", "poses", "section", 
 
 
 ANYTHING, POSITIVE = (-np.inf, np.inf), (0.0, np.inf)
+RARE = 0.005  # `Allowance.least` of an effect that most benches lack
 
 
 def _nothing() -> Array:
@@ -50,7 +51,9 @@ class Allowance:
     shared: bool = False  # by all recordings of the beam; else each recording has its own
     sized: bool = False  # the evidence chooses one factor on all of `prior_sd`
     within: tuple[float, float] = ANYTHING  # bounds of each parameter
-    sparse: bool = False  # an effect that most benches lack, see `sites`
+    least: float = 1.0  # over `prior_sd`, below 1: its size is unknown from this on, see `sites`
+    about: float = 0.0  # the ideal bench's value, where it is not zero
+    led: bool = False  # the others go with the first parameter: they are as large as it is likely to be
     powers: Array = field(
         default_factory=_nothing
     )  # (n,) of the displacement in its functions; empty: they do not go with it
@@ -162,7 +165,7 @@ def giving(course: PushCourse) -> Allowance:
     """The moment at the clamp follows the turn of the tag beside it."""
     beside = 0 if course.on_body.all() else int(np.argmin(np.abs(course.marker_s - CLAMP_TAG)))
     sd, basis = np.array([GIVE_SD]), course.turn[:, beside, None]
-    return Allowance("clamp gives", "clamp", "1", ("clamp gives",), sd, basis, within=POSITIVE, sparse=True)
+    return Allowance("clamp gives", "clamp", "1", ("clamp gives",), sd, basis, within=POSITIVE, least=RARE)
 
 
 SLIDE_SD = 2.5e-3  # m per rad that the beam turns at the push: the radius of a finger or a rod
@@ -173,7 +176,7 @@ def sliding(course: PushCourse) -> Allowance | None:
     if not course.pushed:
         return None
     sd, basis = np.array([SLIDE_SD]), course.turn_at_push[:, None]
-    return Allowance("slide", "place", "m/rad", ("contact slides",), sd, basis, sparse=True)
+    return Allowance("slide", "place", "m/rad", ("contact slides",), sd, basis, least=RARE)
 
 
 FRICTION_SD = 0.3  # of the force across the beam: a coefficient of friction
@@ -187,7 +190,7 @@ def rubbing(course: PushCourse) -> Allowance | None:
     along = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     across = course.force[:, 1] * along[:, 0] - course.force[:, 0] * along[:, 1]
     sd, basis = np.array([FRICTION_SD]), (across[:, None] * along)[..., None]
-    return Allowance("rub", "force", "1", ("friction of the tool",), sd, basis, sparse=True)
+    return Allowance("rub", "force", "1", ("friction of the tool",), sd, basis, least=RARE)
 
 
 # Discrepancy between model and world (Kennedy and O'Hagan 2001): every coordinate of every tag may be off by a function
@@ -376,15 +379,16 @@ def between_recordings(nodes: Array) -> Allowance:
     return Allowance(BETWEEN, "log k", "1", labels, BETWEEN_SD, _SHAPES.curvature(nodes), sized=True)
 
 
-# Tags are patches that stiffen the beam. Their width is known only by how likely each is: a patch is a sum of layers of
-# rising width, one log factor each. At a distance d from a tag's middle log k has the variance `PATCH_SD^2` times the
-# probability that the patch reaches d.
+# Tags are patches that stiffen the beam by one factor. Their width is known only by how likely each is: the log of the
+# factor enters by its expected profile, and two more functions are how the profile of another width differs from it. At
+# a distance d from a tag's middle log k has the variance `PATCH_SD^2` times the probability that the patch reaches d.
 
-PATCH_SD = 0.4  # of the log of the factor on k under a tag, before the evidence has chosen: paper to stiff plastic
+PATCH_SD = 0.4  # of the log of the factor on k under a tag: paper to stiff plastic
 SHARES = np.array([0.25, 0.5, 0.25])  # of the widths below
 WIDTHS = np.array([1.05, 1.25, 1.6])  # of a patch over the tag's black square: a printed tag has a rim of one cell
-PAPER = 1.5  # of the same: wider layers are beyond the paper of a tag
-NEXT_TO_NONE = 1e-3
+# (3, 3) of patches of these widths: the expected one, and principal parts of the others: `SHARES - SHARES SHARES'`
+_BY_WIDTH = np.column_stack([SHARES, 0.5**1.5 * np.array([1.0, 0.0, -1.0]), 0.25 * np.array([1.0, -2.0, 1.0])])
+_THIN = 0.01  # of `PATCH_SD`: a smaller factor hardly counts
 USUAL_SIZE = 0.08  # of the length: a tag's black square where nobody says its size
 _USUAL_WIDTHS = np.array([0.8, 1.25, 1.9])  # over `USUAL_SIZE`
 _SOFT = 0.04  # of half a width: its edge in s
@@ -392,11 +396,12 @@ _FINE = 4001  # places
 
 
 def patch_functions(marker_s: Array, length: float, tag_size: float, s: Array) -> Array:
-    """`s.shape + (3,)`: 1 under the tags, 0 between them, for each width; `tag_size` m, NaN if unknown."""
+    """`s.shape + (3,)`: the expected profile of a patch, 1 under the tags, and two deviations from it; `tag_size` m,
+    NaN if unknown."""
     known = bool(np.isfinite(tag_size))
     half = 0.5 * (WIDTHS * tag_size / length if known else _USUAL_WIDTHS * USUAL_SIZE)
     away = np.min(np.abs(np.asarray(s)[..., None] - marker_s), axis=-1)[..., None]
-    return np.asarray(0.5 - 0.5 * np.tanh((away - half) / (2.0 * _SOFT * half)))
+    return np.asarray((0.5 - 0.5 * np.tanh((away - half) / (2.0 * _SOFT * half))) @ _BY_WIDTH)
 
 
 def patch_means(marker_s: Array, length: float, tag_size: float, grid: Grid) -> Array:
@@ -411,17 +416,17 @@ def patch_means(marker_s: Array, length: float, tag_size: float, grid: Grid) -> 
 
 
 def patches(course: PushCourse) -> Allowance | None:
-    """The layers' factors on k, the same under all tags, for they are alike; without a film no basis. Where the body's
-    outline is traced beside a tag, k there is seen, and no stiff layer reaches beyond the tag's paper."""
+    """The log of the factor on k, the same under all tags, for they are alike, and of its profile; without a film no
+    basis."""
     if not course.tags:
         return None
-    basis, traced = np.zeros((0, len(WIDTHS))), not course.on_body.all()
+    basis = np.zeros((0, len(WIDTHS)))
     if course.film is not None:
         grid = course.film.problem.grid
         basis = patch_means(course.marker_s[course.on_body], course.length, course.tag_size, grid)
-    labels = tuple(f"log k under the tags, {name}" for name in ("as wide as seen", "and its rim", "and around it"))
-    sd = PATCH_SD * np.sqrt(SHARES) * np.where(traced & (WIDTHS > PAPER), NEXT_TO_NONE, 1.0)
-    return Allowance("patches", "log k", "1", labels, sd, basis, shared=True, within=POSITIVE, sparse=True)
+    labels = tuple(f"log k under the tags, {name}" for name in ("mean", "width", "rim"))
+    sd = np.full(len(WIDTHS), PATCH_SD)
+    return Allowance("patches", "log k", "1", labels, sd, basis, shared=True, within=POSITIVE, least=_THIN, led=True)
 
 
 # Camera: its model puts every tag in one plane. A tag at height z over the plane appears too far from the camera's
@@ -516,7 +521,7 @@ def posture_bias(course: PushCourse) -> Allowance | None:
     labels = tuple(f"posture bias {axis}{i}" for axis in "xy" for i in range(1, DEGREE + 1))
     sd, basis = np.full(2 * DEGREE, POSTURE_SD * course.largest[0]), on_each_axis(powers(course.bend))
     of_bend = np.tile(np.arange(1.0, DEGREE + 1.0), 2)
-    return Allowance("posture", "force", "N", labels, sd, basis, sparse=True, powers=of_bend, of_force=True)
+    return Allowance("posture", "force", "N", labels, sd, basis, least=RARE, powers=of_bend, of_force=True)
 
 
 def powers(bend: Array) -> Array:
@@ -541,9 +546,7 @@ LARGEST = 0.9  # of c: beyond, nothing would be left of the stiffness
 def relaxation(course: PushCourse) -> Allowance:
     """The shares that relax with each of the times."""
     labels, sd = tuple(f"share that relaxes within {t:g} s" for t in TIMES), np.full(len(TIMES), SHARE_SD)
-    return Allowance(
-        "relaxation", "relaxation", "1", labels, sd, course.time, shared=True, within=POSITIVE, sparse=True
-    )
+    return Allowance("relaxation", "relaxation", "1", labels, sd, course.time, shared=True, within=POSITIVE, least=RARE)
 
 
 def lags(time: Array) -> Array:
@@ -642,14 +645,18 @@ def shift_of_lags(shares: Array, every: Array, q: Array, reached: Array) -> tupl
 # so its effect on the tags is linear.
 
 USUAL_THICKNESS = 0.08  # of the length, in the direction of bending
+NO_THICKNESS = -1.0  # of the relative change of its square: a beam that neither stretches nor shears
 UNKNOWN_SD, KNOWN_SD = 1.2, 0.2  # of the square of the thickness, over the usual or the stated one
+_THINNEST = 0.05  # of `UNKNOWN_SD`: a thinner rod is as good as one without thickness
 _NEAR_NONE = 1e-9  # of it: as good as none, where nothing may be divided by
 
 
 def section(course: PushCourse) -> Allowance:
-    """The relative change of the square of the thickness, from the stated one or the usual one."""
-    label, sd = "change of section thickness squared", np.array([KNOWN_SD if course.thick else UNKNOWN_SD])
-    return Allowance("section", "section", "1", (label,), sd, shared=True, within=(-1.0, np.inf))
+    """The relative change of the square of the thickness, from the stated one or the usual one; where nothing is stated
+    a thin rod is as likely as a thick one."""
+    sd, least, about = (KNOWN_SD, 1.0, 0.0) if course.thick else (UNKNOWN_SD, _THINNEST, NO_THICKNESS)
+    one = Allowance("section", "section", "1", ("change of section thickness squared",), np.array([sd]), shared=True)
+    return replace(one, within=(NO_THICKNESS, np.inf), least=least, about=about)
 
 
 def section_at(change: float, stated: float, beam_length: float) -> tuple[RectangularSection, float]:

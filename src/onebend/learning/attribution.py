@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.learning.allowances import LEFT
+from onebend.learning.allowances import LEFT, NO_THICKNESS
 from onebend.learning.linear import FitProblem, log_k_map
 from onebend.learning.optimizer import Optimum
 from onebend.learning.parameters import Block, groups
@@ -19,7 +19,6 @@ from onebend.records import Array, IntArray
 
 FORCE_SCALE = "force's scale"
 GROUPS = groups()  # blocks of the layout, by the common name of their cause
-_NO_THICKNESS = -1.0  # of the relative change of its square: a beam that neither stretches nor shears
 # Unknown on every bench, and so no allowance for a bench that is not ideal.
 _OF_EVERY_BENCH = (
     "error of the force log",
@@ -147,5 +146,5 @@ def _ideal(problem: FitProblem, block: Block) -> Array:
     if block.name == "force":
         return np.asarray(problem.recordings[block.recording].error.mean.ravel())
     if block.name == "section":
-        return np.full(len(block.prior_sd), _NO_THICKNESS)
+        return np.full(len(block.prior_sd), NO_THICKNESS)
     return np.zeros(len(block.prior_sd))

@@ -13,7 +13,7 @@ from onebend.errors import LearningError
 from onebend.learning.allowances import BETWEEN, EVERY_ALLOWANCE, Sizes, between_recordings
 from onebend.learning.condensed import worth
 from onebend.learning.fit_data import FitData, fit_data
-from onebend.learning.frames import chosen_frames, distances, marker_rms
+from onebend.learning.frames import chosen_frames, distances, evenly_spread, marker_rms
 from onebend.learning.frequencies import frequency_data
 from onebend.learning.hyperparameters import (
     Evidence,
@@ -629,9 +629,14 @@ def whole_problem(recordings: Sequence[Observations], problem: FitProblem, setti
     return FitProblem(data, layout, problem.level, expected, frequency_data(recordings, spline))
 
 
-def rewritten_problem(recordings: Sequence[Observations], problem: FitProblem, settings: FitSettings) -> FitProblem:
-    """The problem with the same frames of the same recordings, described otherwise."""
-    frames = [one.frames for one in problem.recordings]
+def rewritten_problem(
+    recordings: Sequence[Observations], problem: FitProblem, settings: FitSettings, most: int | None = None
+) -> FitProblem:
+    """The problem with the same frames of the same recordings, or `most` of them, described otherwise."""
+    rows = [np.flatnonzero(one.frames) for one in problem.recordings]
+    frames = [
+        evenly_spread(r, most or len(r), len(one.frames)) for r, one in zip(rows, problem.recordings, strict=True)
+    ]
     data, layout = _prepared(recordings, frames, problem.layout.spline, settings)
     return replace(problem, recordings=data, layout=layout)
 

@@ -50,6 +50,7 @@ from onebend.records import PLACE_SD, Array, BoolArray
 # frame, so a recording counts as _FRAMES frames (coarsening; Miller and Dunson 2019).
 
 _FRAMES = 50.0  # that a recording counts as, at most
+_FITTED = 30  # frames that are fitted
 _NOISE = OptimizerSettings(most_steps=20, coarse_rounds=0, rounds=4, on_the_way=0.3, tolerance=0.3)
 _ROUNDS = 3  # of a fit, each but the last with a new prior of log k after it
 _FAR_BELOW = 50.0  # of the log evidence, below the best place: another prior of log k seldom adds more than a few
@@ -67,10 +68,15 @@ class AtPlace:
     log_evidence: float  # but for a constant, under one noise
 
 
-def at_written(problem: FitProblem, optimum: Optimum, place: float) -> AtPlace | None:
-    """The fit with the push at the written place, under its own noise; None if it fails."""
+def at_written(problem: FitProblem, optimum: Optimum, place: float, settings: FitSettings) -> AtPlace | None:
+    """The fit to some frames with the push at the written place, under its own noise; None if it fails."""
     found = MapEstimate(optimum.x, optimum.hyperparameters, optimum.predictions)
-    return under(AtPlace(place, problem, found, np.nan), coarsened(optimum.hyperparameters, problem))
+    few = rewritten_problem([one.observations for one in problem.recordings], problem, settings, _FITTED)
+    try:
+        begin = carried_over(problem, found, few, [0])
+    except LearningError:
+        return None
+    return under(AtPlace(place, few, begin, np.nan), coarsened(begin.hyperparameters, few))
 
 
 def with_own_noise(fit: AtPlace) -> AtPlace | None:
@@ -240,7 +246,7 @@ def search_place(
     if not one_place or first.observations.source.place_seen:
         return None
     written, length = float(places[0]), first.observations.length
-    here = at_written(problem, optimum, written)
+    here = at_written(problem, optimum, written, settings)
     found = [] if here is None else _every_place(here, settings, thorough=thorough)
     if here is None or not found:
         return None

@@ -21,7 +21,7 @@ from onebend.records import Array
 Sites = Mapping[tuple[str, int], tuple[Array, Array]]  # of blocks: means (n,) and sds (n,) of the normal priors
 
 _LEAST = 1e-6  # of the prior's precision: of data that say next to nothing
-_SIZES = np.exp(np.linspace(np.log(0.005), np.log(2.0), 17))  # of a sparse parameter, over its sd
+_LARGEST, _COUNT = 2.0, 17  # of the sizes of a sparse parameter: over its sd, and how many
 
 
 def moments(lower: float, upper: float, mean: Array, variance: Array) -> tuple[Array, Array, Array]:
@@ -38,38 +38,62 @@ def moments(lower: float, upper: float, mean: Array, variance: Array) -> tuple[A
     return log_mass, mean + sign * sd * shift, variance * np.clip(1.0 + bend - shift**2, 1e-8, 1.0)
 
 
+def _sizes(block: Block) -> Array:
+    """Sds of the normal densities that the prior is a mixture of, over its sd."""
+    return np.geomspace(block.least, _LARGEST, _COUNT) if block.least < 1.0 else np.ones(1)
+
+
 def first_site(block: Block, size: float = 1.0) -> tuple[Array, Array]:
     """Means and sds (n,) of the prior itself, whose sds are `size` times those of the block."""
-    return _matched(block, size, np.zeros(len(block.prior_sd)), np.full(len(block.prior_sd), np.inf))
+    site = _matched(block, size, np.zeros(len(block.prior_sd)), np.full(len(block.prior_sd), np.inf))
+    return _led(block, site, *site)
 
 
 def _matched(block: Block, size: float, mean: Array, variance: Array) -> tuple[Array, Array]:
     """Means and sds (n,) of the prior times normal densities of this mean and variance (n,)."""
-    sizes = size * block.prior_sd[:, None] * (_SIZES if block.sparse else np.ones(1))
-    mean, given = mean[:, None], np.isfinite(variance)[:, None]
+    sizes = size * block.prior_sd[:, None] * _sizes(block)
+    lower, upper = (end - block.about for end in block.within)
+    mean, given = mean[:, None] - block.about, np.isfinite(variance)[:, None]
     variance = np.where(given, variance[:, None], 1.0)
     both = np.where(given, 1.0 / (1.0 / sizes**2 + 1.0 / variance), sizes**2)
     middle = np.where(given, both * mean / variance, 0.0)
-    before, _, _ = moments(*block.within, np.zeros_like(sizes), sizes**2)
-    after, found, spread = moments(*block.within, middle, both)
+    before, _, _ = moments(lower, upper, np.zeros_like(sizes), sizes**2)
+    after, found, spread = moments(lower, upper, middle, both)
     total = sizes**2 + variance
     logs = after - before - np.where(given, 0.5 * np.log(total) + 0.5 * mean**2 / total, 0.0)
     weights = np.exp(logs - logsumexp(logs, axis=1, keepdims=True))
     average = np.sum(weights * found, axis=1)
-    return average, np.sqrt(np.sum(weights * (spread + (found - average[:, None]) ** 2), axis=1))
+    return block.about + average, np.sqrt(np.sum(weights * (spread + (found - average[:, None]) ** 2), axis=1))
 
 
 def updated(block: Block, site: tuple[Array, Array], mean: Array, sd: Array, size: float = 1.0) -> tuple[Array, Array]:
-    """The site of a block, given its last one and the marginal means and sds (n,) of the posterior under that. No site
-    is wider than the widest normal density in the prior; where it had to be, the mean alone is met."""
-    least = 1.0 / (size * (_SIZES[-1] if block.sparse else 1.0) * block.prior_sd) ** 2
-    precision = np.maximum(1.0 / sd**2 - 1.0 / site[1] ** 2, _LEAST * least)
+    """The site of a block, given its last one and the marginal means and sds (n,) of the posterior under that.
+
+    A site wider than the widest normal density in the prior, or far from all of them, is a force without a place to
+    rest: the search may run away with it. A site about the prior's middle then gives the same mean.
+    """
+    widest = size * _sizes(block)[-1] * block.prior_sd
+    precision = np.maximum(1.0 / sd**2 - 1.0 / site[1] ** 2, _LEAST / widest**2)
     without = (mean / sd**2 - site[0] / site[1] ** 2) / precision
     wanted, spread = _matched(block, size, without, 1.0 / precision)
-    left = np.maximum(1.0 / spread**2 - precision, least)
-    return (wanted * (precision + left) - without * precision) / left, 1.0 / np.sqrt(left)
+    left = np.maximum(1.0 / spread**2 - precision, 1.0 / widest**2)
+    middle = (wanted * (precision + left) - without * precision) / left
+    if block.least < 1.0:
+        away = wanted - block.about
+        pull = precision * np.divide(without - wanted, away, out=np.zeros_like(away), where=away != 0.0)
+        far = np.abs(middle - block.about) > widest
+        left, middle = np.where(far, np.maximum(pull, 1.0 / widest**2), left), np.where(far, block.about, middle)
+    return _led(block, (middle, 1.0 / np.sqrt(left)), mean, sd)
+
+
+def _led(block: Block, site: tuple[Array, Array], mean: Array, sd: Array) -> tuple[Array, Array]:
+    """The site, where the first parameter of this mean and sd is the size of the others."""
+    if not block.led:
+        return site
+    size = np.hypot(mean[0], sd[0]) / block.prior_sd[0] * block.prior_sd[1:]
+    return np.append(site[0][:1], 0.0 * size), np.append(site[1][:1], size)
 
 
 def is_shaped(block: Block) -> bool:
     """Whether the block is free and its prior is not normal."""
-    return block.start >= 0 and (block.sparse or bool(np.any(np.isfinite(block.within))))
+    return block.start >= 0 and (block.least < 1.0 or bool(np.any(np.isfinite(block.within))))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from onebend.beam.grid import Grid, make_grid
-from onebend.learning.allowances import PATCH_SD, USUAL_SIZE, WIDTHS, patch_functions, patch_means, patches
+from onebend.learning.allowances import PATCH_SD, SHARES, USUAL_SIZE, WIDTHS, patch_functions, patch_means, patches
 from onebend.learning.fit_data import fit_data
 from onebend.learning.linear import FitProblem, Hyperparameters, RecordingNoise, log_k_map
 from onebend.learning.parameters import RHO, TAU, Priors, Spline, make_layout
@@ -16,18 +16,22 @@ from tests.learning.allowances.allowed_bench import TAGS, course, filmed
 from tests.made_up import with_stated
 
 S = np.linspace(0.0, 1.0, 2001)
-LAYERS = np.array([0.1, 0.5, 0.1])
+LAYERS = np.array([0.7, 0.2, 0.1])
+DEVIATIONS = np.array([[0.5**1.5, 0.25], [0.0, -0.5], [-(0.5**1.5), 0.25]])  # of a patch of each width
 
 
 @pytest.mark.parametrize("size", [np.nan, 0.006, 0.02])
 def test_they_are_one_under_the_tags_and_nothing_between(size: float) -> None:
+    assert np.allclose(DEVIATIONS @ DEVIATIONS.T, np.diag(SHARES) - np.outer(SHARES, SHARES))  # over the widths
     made = with_stated(filmed(), tag_size=size)
-    found = patch_functions(TAGS, made.length, made.stated.tag_size, S)
+    functions = patch_functions(TAGS, made.length, made.stated.tag_size, S)
+    expected, deviations = functions[:, 0], functions[:, 1:]
+    found = expected[:, None] + deviations @ np.linalg.lstsq(DEVIATIONS, np.eye(3) - SHARES[:, None], rcond=None)[0]
     square = size / made.length if np.isfinite(size) else USUAL_SIZE
     away = np.min(np.abs(S[:, None] - TAGS), axis=1)
     assert np.all(found[away < 0.25 * square] > 0.98)
     assert np.all(found[away > 1.3 * square] < 0.01)
-    assert np.all(np.diff(found, axis=1) >= 0.0)
+    assert np.all(np.diff(found, axis=1) >= -1e-12)
     if np.isfinite(size):
         widths = np.sum(found, axis=0) * (S[1] - S[0]) / (3.0 * square)
         np.testing.assert_allclose(widths, WIDTHS, rtol=0.02)

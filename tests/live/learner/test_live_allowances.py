@@ -10,7 +10,16 @@ import pytest
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Uniform
 from onebend.errors import LearningError
-from onebend.learning.allowances import EFFECTS, KNOWN_SD, LIVE_ALLOWANCES, OF_ONE, allowances_of, lags, reached_part
+from onebend.learning.allowances import (
+    EFFECTS,
+    KNOWN_SD,
+    LIVE_ALLOWANCES,
+    OF_ONE,
+    PATCH_SD,
+    allowances_of,
+    lags,
+    reached_part,
+)
 from onebend.learning.fit_data import fit_data
 from onebend.learning.parameters import Priors, Spline, make_layout
 from onebend.learning.posterior import fit
@@ -163,7 +172,7 @@ def test_the_band_holds_what_stiffens_the_beam_under_the_tags() -> None:
     without = OnlineSettings(allowances=LIVE_ALLOWANCES - {"patches"})
     both = [OnlineLearner(0.15, MARKERS, 0.03, settings=one).stiffness for one in (OnlineSettings(), without)]
     more = np.subtract(*(one.log_at(np.array([MARKERS[1], 0.5]))[1] ** 2 for one in both))
-    np.testing.assert_allclose(more, [0.4**2, 0.0], atol=0.02)
+    np.testing.assert_allclose(more, [PATCH_SD**2, 0.0], atol=0.02)
 
 
 def test_a_push_near_the_clamp_is_learned_from() -> None:
