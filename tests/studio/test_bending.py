@@ -14,13 +14,15 @@ import pytest
 from starlette.testclient import TestClient, WebSocketTestSession
 from typer.testing import CliRunner
 
+from onebend.beam.setup import SetUp
 from onebend.cli import app
 from onebend.control.reach_set import Edge, ReachMap
 from onebend.errors import StudioError
 from onebend.records import Array
-from onebend.results.model import read_model
+from onebend.results.model import read_model, save_model
 from onebend.studio.bending import Bending, edge_lines
 from onebend.studio.desk import text_of
+from tests import made_up
 from tests.studio.conftest import PORT, own
 
 SOCKET = f"ws://127.0.0.1:{PORT}/socket"
@@ -117,6 +119,23 @@ def test_the_command_is_exact_where_a_micrometre_takes_much_force(
     assert done.exit_code == 0, done.output
     off = np.linalg.norm(np.subtract(json.loads(done.stdout)["force_N"], force))
     assert off <= max(2e-2 * np.hypot(*force), 1e-4)
+
+
+def test_a_beam_is_bent_in_the_set_up_that_it_was_learned_in(tmp_path: Path) -> None:
+    fit = made_up.posterior()
+    mean, count = np.array([0.003, 0.05]), len(fit.stiffness.mean)
+    sizes, slope = {"length": 1, "direction": 1}, np.zeros((2, count))
+    setup = SetUp(1.0, (0.05, 0.2), 0.05, (0.5, 1.0), 0.01, sizes, mean, slope, 1e-6 * np.eye(2), np.full(2, 0.01))
+    save_model(tmp_path / "model.json", fit.beam, written_by="a test", uncertain=fit.stiffness, setup=setup)
+    bending, force = Bending.of("beam", tmp_path), np.array([[0.02, 0.18], [0.1, 0.4]])
+    goals = setup.bent(fit.beam, fit.stiffness, force).xy(np.ones(1))[:, 0]
+    there = bending.drag(goals[0].tolist())
+    assert np.linalg.norm(np.subtract(there["force_N"], force[0])) < 0.02 * np.linalg.norm(force[0])
+    assert there["beyond_learned"] == 0.0
+    far = bending.drag(goals[1].tolist())
+    assert far["beyond_learned"] == pytest.approx(2.0, rel=0.05)
+    bending.change({"mode": "hand"})
+    assert bending.stored.beam == bending.learned.beam
 
 
 def test_at_rest_no_command_is_shown(folder: Path) -> None:

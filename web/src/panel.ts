@@ -127,8 +127,9 @@ export class Panel {
     this.rows.margin!.textContent = fixed(answer.margin, 3);
     this.bar.style.width = `${100 * Math.min(Math.max(answer.margin, 0), 1)}%`;
     this.bar.className = answer.margin < 0.1 ? "low" : "";
-    this.status.textContent = why(opened, answer);
-    this.status.className = answer.limit ? "status warning" : "status";
+    const beyond = answer.beyond_learned > 0;
+    this.status.textContent = why(opened, answer) + (beyond ? `; ${digits(answer.beyond_learned)} times the largest force learned from` : "");
+    this.status.className = answer.limit || beyond ? "status warning" : "status";
   }
 
   empty(): void {

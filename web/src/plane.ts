@@ -10,7 +10,7 @@ export interface Opened {
 export interface Ellipse { outline_m: Point[]; semi_axes_m: Point; draws: number; lost: number }
 export interface Answer {
   goal_m: Point; pose: [number, number, number]; force_N: Point; moment_N_m: number; push_m: Point; line_m: Point[];
-  ellipse: Ellipse | null; limit: Limit; away_m: number; turned_away_rad: number; margin: number; bend_per_m: number; command: string;
+  ellipse: Ellipse | null; limit: Limit; away_m: number; turned_away_rad: number; margin: number; bend_per_m: number; command: string; beyond_learned: number;
   seconds: number; version: number;
 }
 export interface Scene {

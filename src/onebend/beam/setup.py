@@ -51,6 +51,7 @@ PARTS: dict[str, tuple[str, tuple[Renewed, ...]]] = {
     "force error": ("N", ("contact", "sensor")),  # (4) e1 and e2, x and y in turn
     "gain": ("1", ("sensor",)),  # log of the sensor's scale over that of the sensor that taught k(s)
 }
+_BEYOND = 1.5  # times the largest force of the recording: beyond, nothing tells how the beam bends
 _FAR = 30.0  # sds of a normal density: nothing is farther
 _ELSEWHERE = 1e-3  # of s: a push as far from that of the recording is a new contact
 _PASSES = 4  # of the parts that follow the shape: each pass leaves a few percent of their error
@@ -143,11 +144,13 @@ class SetUp:
         force: Array,
         at: tuple[Array, Array] | None = None,
         *,
+        near: Array | None = None,
         gravity: tuple[float, float] = (0.0, 0.0),
     ) -> Bent:
         """The beam under logged forces (T, 2) [N], with log k and numbers `at` (T, p), (T, n); default: their means.
 
-        `beam` gives mass and rest curvature.
+        `near` (T, Q): shapes of similar beams, to stay on their branch; default: each force grows from nothing. `beam`
+        gives mass and rest curvature.
         """
         count = len(force)
         coefficients, x = (known.mean[None], self.mean[None]) if at is None else at
@@ -170,7 +173,7 @@ class SetUp:
         base = replace(plain, k=k, length=length, q0=q0, stretch=share * stretch, shear=share * shear)
         beyond, farther = (nodes < push_s).astype(float), share_farther(base, np.full(count, push_s))
         rest = follow(replace(base, alpha0=beam.clamp_angle + part("clamp")))
-        looked_at, tags, solved = np.array([push_s, self.tags[0]]), np.array(self.tags), None
+        looked_at, tags = np.array([push_s, self.tags[0]]), np.array(self.tags)
         turn, bend = np.zeros((count, 2)), np.zeros((count, 1))
         for _ in range(_PASSES):
             place = part("place") + part("slide") * turn[:, :1]
@@ -178,10 +181,10 @@ class SetUp:
             acting = logged + bend * part("force error", 4)[:, :2] + bend**2 * part("force error", 4)[:, 2:]
             dead = plain.dead_force + (beyond + place * farther)[..., None] * acting[:, None, :]
             now = replace(base, alpha0=beam.clamp_angle + alpha0, dead_force=dead)
-            solved = follow(now) if solved is None else refine(now, solved.q)
+            solved = follow(now) if near is None else refine(now, near)
+            near = solved.q
             turn = solved.angle(looked_at) - rest.angle(looked_at)
             bend = self.bend(solved.xy(tags), rest.xy(tags))[:, None]
-        assert solved is not None
         return Bent(self, solved, bend[:, 0], acting, x)
 
     def ideal(
@@ -240,7 +243,8 @@ class SetUp:
         ideal, (logs, numbers) = of(c), self.draw(known, draws, seed=seed)
         shown, rows = self.logged(force, there.bend), np.arange(len(force) - len(_TURNS), len(force))
         at = np.repeat(logs, len(rows), axis=0), np.repeat(numbers, len(rows), axis=0)
-        drawn = self.bent(beam, known, np.tile(shown[rows], (draws, 1)), at, gravity=gravity)
+        near = np.tile(there.solved.q[rows], (draws, 1))
+        drawn = self.bent(beam, known, np.tile(shown[rows], (draws, 1)), at, near=near, gravity=gravity)
         off = drawn.xy(places).reshape(draws, len(rows), *wanted.shape[1:]) - wanted[rows]
         off = np.where(drawn.stands.reshape(draws, -1)[..., None, None], np.nan_to_num(off), 0.0)
         by_k, light = weights[..., None] * slopes[rows, ..., 2:], 1.0 / _LOOSELY
@@ -261,6 +265,11 @@ class SetUp:
         on_sensor = force - bend[:, None] * error[:2] - bend[:, None] ** 2 * error[2:]
         turn = np.full(len(force), -self._part(self.mean, "direction", 1)[0])
         return np.asarray(np.exp(self._part(self.mean, "gain", 1)[0]) * _turned(on_sensor, turn))
+
+    def beyond(self, forces: Array) -> float:
+        """How many times as large as in the recording the largest of `forces` (..., 2) [N] is; 0 up to 1.5 times."""
+        times = float(np.max(np.linalg.norm(forces, axis=-1), initial=0.0) / np.hypot(*self.force))
+        return times if times > _BEYOND else 0.0
 
     def shown(self, unloaded: Problem, solved: Equilibrium, forces: Array) -> Array:
         """(T, a, 2) N that the sensor shows for `forces` (T, a, 2) on the ideal beam, `solved` under them."""

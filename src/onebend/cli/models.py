@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from onebend.beam.model import Beam
@@ -15,6 +14,7 @@ from onebend.beam.setup import Renewed, SetUp
 from onebend.cli import common
 from onebend.errors import ControlError
 from onebend.options import option
+from onebend.records import Array
 from onebend.report.wording import significant
 from onebend.results.model import StoredModel, model_file, model_summary, read_model
 
@@ -95,16 +95,12 @@ class SetUpOptions:
         return (stored, None) if setup is None else stored.bending(setup, push_s, points, gravity=gravity)
 
 
-_BEYOND = 1.5  # times the largest force of the recording
-
-
-def warn_beyond_learned(setup: SetUp | None, forces: ArrayLike) -> None:
+def warn_beyond_learned(setup: SetUp | None, forces: Array) -> None:
     """Warn of forces (..., 2) [N] that are far beyond those of the recording."""
-    size = float(np.max(np.linalg.norm(np.asarray(forces), axis=-1), initial=0.0))
-    if setup is None or not size > _BEYOND * math.hypot(*setup.force):
-        return
-    common.say_warning(
-        f"The force of {significant(size)} N is {significant(size / math.hypot(*setup.force))} times the largest one "
-        "that the beam was learned from. The answer holds only if the beam is as elastic there.",
-        about="beyond what was learned",
-    )
+    times = 0.0 if setup is None else setup.beyond(forces)
+    if times:
+        common.say_warning(
+            f"The force is up to {significant(times)} times the largest one that the beam was learned from. The answer "
+            "holds only if the beam is as elastic there.",
+            about="beyond what was learned",
+        )

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from itertools import pairwise
 from typing import Literal
 
@@ -373,64 +372,6 @@ def densified(pushed: PushedBeam, states: tuple[LoadedState, ...], steps: int) -
         same = finer.arrived and pushed.same(finer.states[-1], end)
         out += [*(finer.states[1:-1] if same else ()), end]
     return tuple(out)
-
-
-# Starts of Newton's method: shapes bent by two moments that vanish at s_a, one linear and one with a change of sign.
-# Chosen is the one with the point nearest to the goal, preferring less bent ones, with the best-fitting load.
-
-_TURNS = 2.6 * np.sign(x := np.linspace(-1.0, 1.0, 41)) * np.abs(x) ** 1.7  # rad, by the first moment
-_CURLS = np.array([-1.6, -1.1, -0.7, -0.4, -0.2, 0.0, 0.2, 0.4, 0.7, 1.1, 1.6])  # rad, by the second
-_TURN_WEIGHT, _CURL_WEIGHT = 0.03, 0.3  # of L per radian of each
-_SAME_START = 0.5  # rad, between different starts
-
-
-@dataclass(frozen=True)
-class StartTable:
-    """Shapes of a `PushedBeam` and where they bring its point."""
-
-    pushed: PushedBeam
-    shapes: Array  # (2, n) rad per unit turn
-    amounts: Array  # (C, 2) rad
-    places: Array  # (C, 2) m
-
-    def near(self, goal: Array, count: int) -> list[LoadedState]:
-        """Up to `count` starts for a goal (2,), best first."""
-        length = float(self.pushed.problem.length)
-        away = np.sum((self.places - goal) ** 2, axis=1) / length**2
-        score = away + self.amounts**2 @ np.array([_TURN_WEIGHT**2, _CURL_WEIGHT**2])
-        if count == 1:
-            return [self._state(int(np.argmin(score)))]
-        chosen: list[int] = []
-        for i in np.argsort(score):
-            if all(np.max(np.abs(self.amounts[i] - self.amounts[j])) > _SAME_START for j in chosen):
-                chosen.append(int(i))
-            if len(chosen) == count:
-                break
-        return [self._state(i) for i in chosen]
-
-    def _state(self, i: int) -> LoadedState:
-        """The shape and the force that balances it best."""
-        pushed = self.pushed
-        q = pushed.start.q + self.amounts[i] @ self.shapes
-        unbalanced, _, cos, sin = pushed.balance(q, np.zeros(3))
-        r = pushed.of_load(cos, sin)[:, :2]
-        weighed = r / pushed.stiff[:, None]
-        normal = weighed.T @ r
-        # regularised: a straight beam does not feel a force along itself
-        normal = normal + 1e-6 * np.trace(normal) * np.eye(2)
-        return LoadedState(q, np.append(np.linalg.solve(normal, weighed.T @ unbalanced), 0.0))
-
-
-@lru_cache(maxsize=32)
-def starts_of(pushed: PushedBeam) -> StartTable:
-    """Bent from rest, or from the shape under weight."""
-    t = np.clip(pushed.problem.grid.nodes[: pushed.count] / pushed.push_s, 0.0, 1.0)
-    shapes = np.stack([1.0 - t, (1.0 - t) * (1.0 - 3.0 * t)]) / pushed.problem.k[: pushed.count]
-    shapes = shapes / np.max(np.abs(shapes @ pushed.b.T), axis=1, keepdims=True)
-    amounts = np.stack(np.meshgrid(_TURNS, _CURLS, indexing="ij"), axis=-1).reshape(-1, 2)
-    alpha = pushed.angles(pushed.start.q) + amounts @ (shapes @ pushed.b.T)
-    places = np.stack([np.cos(alpha) @ pushed.row, np.sin(alpha) @ pushed.row], axis=-1)
-    return StartTable(pushed, shapes, amounts, places)
 
 
 # Algorithm 1 of the paper, (23)-(25): `theta <- theta0 + K^-1 J(s_a)^T F` (line 2), the point by forward kinematics

@@ -28,7 +28,6 @@ from onebend.control.loaded_beam import (
     NewtonResult,
     PushedBeam,
     ReachSettings,
-    StartTable,
     broken_bound,
     checked_goal,
     densified,
@@ -36,7 +35,6 @@ from onebend.control.loaded_beam import (
     paper_force,
     prepared,
     solve_goal,
-    starts_of,
     trace,
     trusted,
 )
@@ -52,6 +50,7 @@ _DIRECTIONS = 20
 _SIZES = 0.5 * 2.0 ** np.arange(6)  # times k / (L s_a^2)
 _WAY = ContinuationSettings(tolerance=1e-8, min_step=0.05, max_steps=7)  # longer ways are omitted
 _TURN_WEIGHT = 0.03  # of L per radian: prefers the less bent of two
+_SAME_START = 0.5  # rad, between different ones
 _LEAST_DETERMINANT = 1e-9  # of the compliance over its squared size; below it the goal does not determine the force
 
 
@@ -65,6 +64,17 @@ class KnownEquilibria:
     bent: Array  # (C,) m^2: weight of the turn
     shape_by_force: Array  # (C, n, 2) rad/N: Y
     force_by_place: Array  # (C, 2, 2) N/m: inverse of S
+    turned: Array  # (C, Q) rad, from rest
+
+    def near(self, goal: Array, count: int) -> list[LoadedState]:
+        """Up to `count` different ones near a goal (2,), the best first; of two as near the less bent."""
+        chosen: list[int] = []
+        for i in np.argsort(np.sum((self.places - goal) ** 2, axis=1) + self.bent).tolist():
+            if all(np.max(np.abs(self.turned[i] - self.turned[j])) > _SAME_START for j in chosen):
+                chosen.append(i)
+            if len(chosen) == count:
+                break
+        return [LoadedState(self.q[i], np.append(self.force[i], 0.0)) for i in chosen]
 
 
 def known_equilibria(pushed: PushedBeam) -> KnownEquilibria:
@@ -108,12 +118,12 @@ def _sampled(pushed: PushedBeam) -> KnownEquilibria:
     moves = np.stack([-pushed.row * sin, pushed.row * cos], axis=1)
     compliance = (moves @ pushed.b) @ by_force
     places = np.stack([cos @ pushed.row, sin @ pushed.row], axis=-1)
-    turned = np.max(np.abs((q - pushed.start.q) @ pushed.b.T), axis=1)
-    weighs = (_TURN_WEIGHT * float(pushed.problem.length) * turned) ** 2
+    turned = (q - pushed.start.q) @ pushed.b.T
+    weighs = (_TURN_WEIGHT * float(pushed.problem.length) * np.max(np.abs(turned), axis=1)) ** 2
     size = np.abs(np.linalg.det(compliance)) / np.maximum(np.sum(compliance**2, axis=(1, 2)), 1e-300)
     told = size > _LEAST_DETERMINANT
     inverse = np.linalg.inv(compliance[told])
-    return KnownEquilibria(q[told], force[told], places[told], weighs[told], by_force[told], inverse)
+    return KnownEquilibria(q[told], force[told], places[told], weighs[told], by_force[told], inverse, turned[told])
 
 
 _MOST_STARTS = 8
@@ -151,18 +161,17 @@ def search(
     return spare
 
 
-def solutions(pushed: PushedBeam, starts: StartTable, goal: Array, loads: int) -> Iterator[tuple[LoadedState, int]]:
-    """Stable equilibria on the goal from the starts in turn, and the iterations so far."""
+def solutions(pushed: PushedBeam, goal: Array, loads: int) -> Iterator[tuple[LoadedState, int]]:
+    """Stable equilibria on the goal from known ones in turn, and the iterations so far."""
     iterations, before = 0, list[LoadedState]()
-    for first in (True, False):
-        for begin in starts.near(goal[:2], 1) if first else starts.near(goal[:2], _MOST_STARTS)[1:]:
-            result = solve_goal(pushed, begin, goal, loads)
-            iterations += result.iterations
-            if not (result.converged and pushed.stable(result.state)):
-                continue
-            if not any(pushed.same(result.state, known) for known in before):
-                before.append(result.state)
-                yield result.state, iterations
+    for begin in known_equilibria(pushed).near(goal[:2], _MOST_STARTS):
+        result = solve_goal(pushed, begin, goal, loads)
+        iterations += result.iterations
+        if not (result.converged and pushed.stable(result.state)):
+            continue
+        if not any(pushed.same(result.state, known) for known in before):
+            before.append(result.state)
+            yield result.state, iterations
 
 
 def from_rest(pushed: PushedBeam, state: LoadedState) -> EquilibriumPath | None:
@@ -200,7 +209,7 @@ def _tries(
         step = step_to(pushed, goal)
         if step is not None:
             yield ReachCandidate(pushed, (pushed.start, step[0], step[1].state), step[1].iterations, known=True)
-    for state, count in solutions(pushed, starts_of(pushed), goal, settings.loads):
+    for state, count in solutions(pushed, goal, settings.loads):
         trail = from_rest(pushed, state)
         if trail is not None:
             yield ReachCandidate(pushed, trail.states, count)
@@ -517,7 +526,6 @@ class WarmReach:
             raise ControlError("a warm reach is Newton's, with forces in all directions; take `reach` for others")
         self._settings = settings
         self._pushed = PushedBeam(beam, push_s, point_s, gravity=settings.gravity, resolution=resolution)
-        self._starts = starts_of(self._pushed)
         self._state: LoadedState | None = None
         self._last: NewtonResult | None = None
 
@@ -552,7 +560,7 @@ class WarmReach:
             led = lead(self._pushed, self._state, wanted, self._settings.loads)
             if led.arrived:
                 return self._take(led.states[-1], "led", 0, None)
-        for state, iterations in solutions(self._pushed, self._starts, wanted, self._settings.loads):
+        for state, iterations in solutions(self._pushed, wanted, self._settings.loads):
             if from_rest(self._pushed, state) is not None:
                 return self._take(state, "rest", iterations, None)
         settled = search(self._pushed, wanted, self._settings, None, partial(sampled, self._pushed, self._settings))
@@ -694,7 +702,8 @@ _SHARES, _AROUND = (
     np.array([0.1, 0.3, 0.5, 0.75, 1.0, 1.5, 2.5]),
     24,
 )  # of the largest force of the recording; directions
-_STEP, _LONGEST, _MOST_TRIALS, _SHORTER = 1e-3, 0.3, 40, 0.3  # the first two likewise
+_STEP, _LONGEST, _MOST_TRIALS, _SHORTER = 1e-3, 0.3, 20, 0.3  # the first two likewise
+_MOST_STARTS_IN_SETUP = 12
 _ON_THE_WAY = 20
 
 
@@ -767,8 +776,8 @@ def reach_in_setup(
     wanted, point = checked_goal(goal, settings), np.array([point_s])
     now = setup.renewed(new, push_s=push_s, length=beam.length)
 
-    def bent(force: Array, at: tuple[Array, Array] | None = None) -> Bent:
-        return now.bent(beam, uncertain, force, at, gravity=settings.gravity)
+    def bent(force: Array, at: tuple[Array, Array] | None = None, near: Array | None = None) -> Bent:
+        return now.bent(beam, uncertain, force, at, near=near, gravity=settings.gravity)
 
     found = _force_in_setup(bent, wanted, point, float(np.hypot(*setup.force)), _MET * beam.length)
     if found is None:
@@ -779,7 +788,7 @@ def reach_in_setup(
     way = bent(path)
     _refuse_beyond(settings, force, way)
     felt = force + now.force_sd * np.random.default_rng([seed, 1]).standard_normal((draws, 2))
-    drawn = bent(felt, now.draw(uncertain, draws, seed=seed))
+    drawn = bent(felt, now.draw(uncertain, draws, seed=seed), np.repeat(way.solved.q[-1:], draws, axis=0))
     if np.sum(drawn.stands) < max(3, draws // 2):
         raise ControlError(_NO_BOUND.format(lost=int(np.sum(~drawn.stands)), draws=draws))
     places, there = drawn.xy(point)[drawn.stands, 0], way.xy(point)[:, 0]
@@ -797,8 +806,19 @@ def _force_in_setup(
     around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     starts = np.concatenate([np.zeros((1, 2)), *(largest * share * around for share in _SHARES)])
     there = bent(starts)
-    away = np.where(there.stands, np.linalg.norm(there.xy(point)[:, 0] - goal, axis=1), np.inf)
-    base, change, best, step = starts[np.argmin(away)], np.zeros(2), np.inf, _STEP * largest
+    away = np.linalg.norm(there.xy(point)[:, 0] - goal, axis=1)
+    for start in starts[np.argsort(np.where(there.stands, away, np.inf))[:_MOST_STARTS_IN_SETUP]]:
+        found = _newton_in_setup(bent, goal, point, start, largest, met)
+        if found is not None:
+            return found
+    return None
+
+
+def _newton_in_setup(
+    bent: Callable[[Array], Bent], goal: Array, point: Array, base: Array, largest: float, met: float
+) -> tuple[Array, int] | None:
+    """The same from the force `base` (2,) [N], with steps that shorten until they come nearer."""
+    change, best, step = np.zeros(2), np.inf, _STEP * largest
     for trial in range(_MOST_TRIALS):
         force = base + change
         there = bent(force + step * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))

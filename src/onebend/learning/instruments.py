@@ -29,6 +29,7 @@ from onebend.records import DIRECTION_SD, GAIN_SD, PLACE_SD, Array, Observations
 if TYPE_CHECKING:  # for the type alone: who reads a model loads no fit
     from onebend.learning.posterior import Posterior
 
+_OF_BEFORE = ("shared_mean", "discrepancy")  # keys in models of before; the set-up has them now
 SHARED = tuple(error.name for error in STATED_ERRORS if error.shared)  # what all pushes have in common, beside k(s)
 
 
@@ -96,17 +97,12 @@ class Instruments:
     shared_covariance: Array  # (N, N) of what is left of them once the coefficients are known
     place_sd: float = PLACE_SD  # m, a push's place along the beam, anew in every push
     direction_sd: float = DIRECTION_SD  # rad, the force log's axes against the beam's, likewise
-    shared_mean: Array | None = None  # (N,) the shared nuisances as found; None: in models of before
-    # 1 and rad/m, one sd of what is left of a tag's place and angle for each metre that the tags move (RMS)
-    discrepancy: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         m, count = len(self.tags), self.shared_size
         shapes = (self.tag_sd.shape, self.shared_covariance.shape, self.shared_slope.shape[:1])
         if m == 0 or shapes != ((m, 3), (count, count), (count,)):
             raise LearningError(f"a bench of {m} tags and {count} shared nuisances cannot hold arrays of {shapes}")
-        if self.shared_mean is not None and self.shared_mean.shape != (count,):
-            raise LearningError(f"{count} shared nuisances cannot have means {self.shared_mean.shape}")
         if not (self.frames > 0 and self.seconds > 0.0 and np.all(self.tag_sd > 0.0) and self.force.tau > 0.0):
             raise LearningError("a bench needs frames, seconds, the tags' sd and the force's tau above zero")
 
@@ -139,11 +135,10 @@ class Instruments:
         """From `as_dict`. Raises `LearningError` where an entry is missing, unknown or not as it must be."""
         try:
             entries = {**data, "force": ForceDoubt(**data["force"])}
-            entries.setdefault("discrepancy", (0.0, 0.0))
-            for name in ("tags", "gravity", "shared", "discrepancy"):
+            for name in _OF_BEFORE:
+                entries.pop(name, None)
+            for name in ("tags", "gravity", "shared"):
                 entries[name] = tuple(entries[name])
-            if entries.get("shared_mean") is not None:
-                entries["shared_mean"] = np.asarray(entries["shared_mean"], dtype=float)
             for name in ("tag_sd", "shared_slope", "shared_covariance"):
                 entries[name] = np.asarray(data[name], dtype=float)
             entries["shared_slope"] = entries["shared_slope"].reshape(len(data["shared_slope"]), -1)
@@ -185,8 +180,6 @@ def instruments_of(posterior: Posterior) -> Instruments:
         shared=names,
         shared_slope=slope,
         shared_covariance=left,
-        shared_mean=np.concatenate([np.zeros(0), *(at.get(posterior.mean, name) for name in names)]),
-        discrepancy=_discrepancy(films, scales),
     )
 
 
@@ -276,7 +269,6 @@ def _check(bench: Instruments) -> None:
     for name, count, low, high in (
         ("tags", len(bench.tags), 0.0, 1.0),
         ("gravity", 2, -np.inf, np.inf),
-        ("discrepancy", 2, 0.0, np.inf),
     ):
         value = np.asarray(getattr(bench, name), dtype=float)
         if value.shape != (count,) or not np.all(np.isfinite(value) & (low <= value) & (value <= high)):

@@ -38,6 +38,7 @@ from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, Observations, Remark
 
 _DRAWS, _LIKELY_FRAMES = 60, 12  # which tell how far tags are likely to be off
+_ONE_SD = 0.683  # of a normal density
 _SAME_PLACE = 1e-3  # of s, between places of one push
 _CHUNK = 500  # frames solved together: their tangents stay in the cache
 
@@ -209,10 +210,10 @@ class _Pushed:
     setup: SetUp
     observations: Observations
 
-    def bent(self, force: Array, at: tuple[Array, Array] | None = None) -> Bent:
+    def bent(self, force: Array, at: tuple[Array, Array] | None = None, near: Array | None = None) -> Bent:
         """Under logged forces (T, 2) [N]."""
         x, y = self.observations.gravity[0].tolist()
-        return self.setup.bent(self.beam, self.known, force, at, gravity=(x, y))
+        return self.setup.bent(self.beam, self.known, force, at, near=near, gravity=(x, y))
 
     def frames(self, frames: BoolArray) -> Iterator[Equilibrium]:
         """The equilibria of these frames (T,), chunk by chunk."""
@@ -226,11 +227,14 @@ class _Pushed:
         force, s = self.observations.force[few], self.observations.marker_s
         count, (logs, numbers) = len(force), self.setup.draw(self.known, _DRAWS, seed=0)
         at = np.repeat(logs, count, axis=0), np.repeat(numbers, count, axis=0)
-        drawn, moved = self.bent(np.tile(force, (_DRAWS, 1)), at), self.bent(force).xy(s)
-        moved = moved - self.bent(np.zeros((1, 2))).xy(s)
+        middle = self.bent(force)
+        drawn = self.bent(np.tile(force, (_DRAWS, 1)), at, np.tile(middle.solved.q, (_DRAWS, 1)))
+        moved = middle.xy(s) - self.bent(np.zeros((1, 2))).xy(s)
         rest = self.bent(np.zeros((_DRAWS, 2)), (logs, numbers)).xy(s)  # the tags' mounting is that of frames at rest
         away = drawn.xy(s).reshape(_DRAWS, count, *rest.shape[1:]) - rest[:, None] - moved
-        variance = np.mean(np.sum(away**2, axis=-1)[drawn.stands.reshape(_DRAWS, count)], axis=0)
+        stands = drawn.stands.reshape(_DRAWS, count, 1)
+        squares = np.mean(np.sum(away**2, axis=-1), axis=1, where=stands)  # (draws, m)
+        variance = np.nanquantile(squares, _ONE_SD, axis=0)  # not their mean, which one draw may decide
         left = 2.0 * self.setup.discrepancy**2 * np.mean(np.sum(moved**2, axis=-1), axis=0)
         seen = np.nan_to_num(typical(np.trace(self.observations.covariance[few, :, :2, :2], axis1=2, axis2=3)))
         return np.asarray(np.sqrt(variance + left + seen))

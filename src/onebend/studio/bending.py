@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution
+from onebend.beam.setup import SetUp
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.control.loaded_beam import LoadedState, PushedBeam
 from onebend.control.reach import Reach, ReachSettings, predicted_error
@@ -110,8 +111,9 @@ class Bending:
     """One learned beam under the pointer; for one thread."""
 
     model: str  # name on page and command line
-    stored: StoredModel
-    beam: str  # JSON
+    learned: StoredModel
+    stored: StoredModel  # with the ideal beam that goes where the learned one goes in its set-up, for a point
+    beam: str  # its JSON
     largest_first: float  # N
     push_s: float = 1.0
     point_s: float = 1.0
@@ -119,6 +121,7 @@ class Bending:
     mode: Mode = "point"
     point: DraggedPoint = field(init=False)
     hand: HeldEnd | None = None
+    setup: SetUp | None = None  # whose sensor shows the force; None for a hand, or a model without one
     version: int = 0  # of the settings, for maps
 
     def __post_init__(self) -> None:
@@ -129,10 +132,8 @@ class Bending:
     def of(model: str, folder: Path) -> Bending:
         """From a results folder. Raises `ResultsError`, or `ControlError` if it cannot be bent."""
         stored = read_model(folder)
-        beam = stored.beam
-        force = bending_force(beam)
-        text = json.dumps(beam.as_dict(), sort_keys=True)
-        one = Bending(model, stored, text, float(f"{LARGEST_TIMES * force:.2g}"))
+        force = bending_force(stored.beam)
+        one = Bending(model, stored, stored, "", float(f"{LARGEST_TIMES * force:.2g}"))
         one.point.under((0.0, 0.5 * BEGIN_TURN * force))
         return one
 
@@ -205,10 +206,12 @@ class Bending:
 
     def shown(self, answer: DragAnswer, began: float) -> dict[str, Any]:
         state, pose, known = answer.state, answer.pose, self.stored.uncertain
+        force = self._shown(state)
         return {
             "goal_m": answer.goal[:2].tolist(),
             "pose": pose.tolist(),
-            "force_N": state.load[:2].tolist(),
+            "force_N": force.tolist(),
+            "beyond_learned": 0.0 if self.learned.setup is None else self.learned.setup.beyond(force),
             "moment_N_m": float(state.load[2]),
             "push_m": self._at(state.q, self.push_s).tolist(),
             "line_m": np.round(self._line(state.q), 6).tolist(),
@@ -238,12 +241,23 @@ class Bending:
         return reach_line(self.model, pose, digits, self.push_s, self.point_s, self.max_force)
 
     def _renew(self, state: LoadedState | None) -> None:
-        self.hand = None
+        self.hand, self.setup, self.stored = None, None, self.learned
+        if self.learned.setup is not None and self.learned.uncertain is not None and self.mode == "point":
+            self.stored, self.setup = self.learned.bending(self.learned.setup, self.push_s, self.point_s)
+        self.beam = json.dumps(self.stored.beam.as_dict(), sort_keys=True)
         self.point = DraggedPoint(pushed_beam(self.beam, self.push_s, self.point_s), self.max_force)
         self._rows = float(self.pushed.problem.length) * self.pushed.problem.grid.integral_to(PLACES)
         if state is not None and len(state.q) == self.pushed.count:
             size = math.hypot(state.load[0], state.load[1])
             self.point.under(state.load[:2] * min(1.0, self.max_force / max(size, 1e-300)))
+
+    def _shown(self, state: LoadedState) -> Array:
+        """(2,) N, as the sensor of the set-up shows the force."""
+        if self.setup is None:
+            return state.load[:2]
+        tags, rest = (np.array([self._at(q, s) for s in self.setup.tags]) for q in (state.q, self.pushed.start.q))
+        shown = self.setup.logged(state.load[None, :2], self.setup.bend(tags[None], rest))
+        return np.asarray(shown[0])
 
     def _line(self, q: Array) -> Array:
         alpha = self.pushed.angles(q)

@@ -331,9 +331,7 @@ def rounded(value: float, digits: int) -> str:
 def reach_line(model: str, goal: Sequence[float], digits: int, push_s: float, point_s: float, max_force: float) -> str:
     """Force for a dragged point; `digits` of the goal in metres."""
     goals = [rounded(one, digits) for one in goal[:2]]
-    return line(
-        "reach", model, "--goal", *goals, *_places(push_s, point_s), "--max-force-N", number(max_force), "--beam-alone"
-    )
+    return line("reach", model, "--goal", *goals, *_places(push_s, point_s), "--max-force-N", number(max_force))
 
 
 def _places(push_s: float, point_s: float) -> list[str]:
