@@ -91,6 +91,7 @@ def full() -> Observations:
             moment=np.full(2, 1e-9),
             moment_sd=0.05,
         ),
+        friction_sd=0.3,
         rest_change_sd=1 / 30,
         masses=(PointMass(0.3, 1 / 300), PointMass(1.0, 0.001)),
     )

@@ -73,12 +73,3 @@ def test_a_tool_that_does_not_rub_costs_next_to_nothing() -> None:
 
 def test_a_log_of_two_axes_measures_friction() -> None:
     assert rubbing(replace(course(), friction_sd=0.0)) is None
-
-
-def test_a_turned_log_is_not_taken_for_friction() -> None:
-    turn = np.deg2rad(15.0)
-    made = observed(SOFT, forces(40), at_s=PUSH_S, noise=NOISE, seed=3)
-    turned = replace(made, force=made.force @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]))
-    found = fitted(turned)
-    direction = next(n for n in found.nuisances() if "direction" in n.name and "force" in n.name)
-    assert abs(abs(direction.value) - turn) < 3.0 * direction.sd
