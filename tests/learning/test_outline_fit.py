@@ -9,6 +9,7 @@ import numpy as np
 from onebend.learning.condensed import white_share
 from onebend.learning.fit_data import fit_data
 from onebend.learning.frames import read_alone, whitening_across
+from onebend.learning.instruments import instruments_of, setup_of
 from onebend.learning.parameters import Spline
 from onebend.learning.posterior import fit
 from onebend.records import Array, Observations, read_before_fit
@@ -42,6 +43,19 @@ def traced(slipped: float = 0.0, seed: int = 0) -> Observations:
         rest_covariance=np.tile(covariance, (m, 1, 1)) / 30.0,
         traced=np.ones(m, dtype=bool),
     )
+
+
+def beside_tags() -> Observations:
+    """The tags of the same push, and the outline's points between them, in the order of their places."""
+    tags, points = observed(SOFT, forces(60), noise=(2e-5, 1e-3), seed=1), traced()
+    order = np.argsort(np.concatenate([tags.marker_s, points.marker_s]), kind="stable")
+    names = {"tag_id": 0, "marker_s": 0, "rest_xy": 0, "rest_angle": 0, "rest_covariance": 0}
+    names |= {"xy": 1, "angle": 1, "covariance": 1}
+    joined = {
+        name: np.take(np.concatenate([getattr(tags, name), getattr(points, name)], axis=axis), order, axis=axis)
+        for name, axis in names.items()
+    }
+    return replace(tags, traced=order >= len(tags.marker_s), **joined)
 
 
 def off(one: Observations) -> Array:
@@ -91,3 +105,15 @@ def test_without_tags_few_points_stand_for_the_outline() -> None:
     assert len(few.tag_id) == 6
     assert read_alone(few) is few
     assert read_before_fit(few).tolist() == list(range(6))
+
+
+def test_beside_tags_the_set_up_and_the_planner_speak_of_the_tags() -> None:
+    both = beside_tags()
+    found = fit([both], settings=IDEAL)
+    tags = tuple(observed(SOFT, forces(2)).marker_s.tolist())
+    planned, setup = instruments_of(found), setup_of(found)
+    assert setup is not None
+    assert planned.tags == setup.tags == tags
+    assert planned.tag_sd.shape == (len(tags), 3)
+    bent = setup.bent(found.beam, found.stiffness, both.force[-1:])
+    assert bent.tags().shape == (1, len(tags), 3)

@@ -20,7 +20,7 @@ from onebend.learning.allowances import (
 )
 from onebend.learning.fit_data import FitData
 from onebend.learning.force_error import expected_noise, filtered
-from onebend.learning.frames import moved_by, typical
+from onebend.learning.frames import moved_by, read_alone, typical
 from onebend.learning.linear import Hyperparameters, log_k_map
 from onebend.learning.parameters import STATED_ERRORS, Layout
 from onebend.progress import one_blas_thread
@@ -155,10 +155,10 @@ class Instruments:
 def instruments_of(posterior: Posterior) -> Instruments:
     """The bench behind a fit; medians where recordings differ. Raises `LearningError` if no force log shows a push."""
     at, films, scales = posterior.layout, posterior.recordings, posterior.optimum.hyperparameters
-    seen = [f.observations for f in films]
+    seen = [read_alone(f.observations) for f in films]
     names = tuple(name for name in SHARED if at.index[name, -1].start >= 0)
     slope, left = _given_coefficients(posterior, names)
-    tag_sd = [n.marker * _tag_sd(f.observations) for f, n in zip(films, scales.noise, strict=True)]
+    tag_sd = [n.marker * _tag_sd(o) for o, n in zip(seen, scales.noise, strict=True)]
     bent = [np.max(np.abs(p.solved.q - p.solved.problem.q0)) for p in posterior.optimum.predictions]
     gravity = np.mean([np.mean(o.gravity, axis=0) for o in seen], axis=0)
     rests = np.median([_rests(o) for o in seen], axis=0)
@@ -285,7 +285,8 @@ def setup_of(posterior: Posterior) -> SetUp | None:
     """The set-up of the last recording, jointly with log k; None of poses, or where no force log shows a push."""
     number = len(posterior.recordings) - 1
     data, at = posterior.recordings[number], posterior.layout
-    o, run = data.observations, course_of(data.observations, data.frames)
+    o = read_alone(data.observations)
+    run = course_of(o, data.frames)
     if o.static or not len(data.error.knots):
         return None
     sizes: dict[str, int] = {}
