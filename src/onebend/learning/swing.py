@@ -313,9 +313,9 @@ def at_rest(on: Body, gravity: Array) -> MotionState:
     return settle(on, Actions(gravity=gravity), load_steps=20 if np.any(gravity) else 1)
 
 
+_ROUNDS, _ENOUGH = 25, 1e-3  # of Gauss-Newton; the step in sd at which it stops
 _HUBER = 3.0  # scaled sd beyond which a residual counts linearly
-_SCALES, _ALIKE = 6, 0.02  # estimates of the residuals' scale at most; the change at which it counts as settled
-_MOST_STEPS = 25  # of least squares, for each scale
+_BOLD = 0.7  # the most that the logarithms of loss time and factor change in a step
 
 
 @dataclass(frozen=True)
@@ -325,11 +325,11 @@ class Fitted:
     x: Array
     covariance: Array
     predicted: Array  # (T, m, 3)
-    moved: bool  # still, when the steps were used up
+    moved: bool  # still, when the rounds were used up
 
 
 def fit_swing(problem: SwingProblem, x: Array, progress: Progress) -> Fitted:
-    """Robust least squares on the first three swings, then on all."""
+    """Gauss-Newton on the first three swings, then on all."""
     omega = float(np.sqrt(problem.about.squared[0] * np.exp(x[1])))
     near = shortened(problem.swing, 6.0 * np.pi / omega)
     progress.start("fitting the swing", None)
@@ -341,37 +341,49 @@ def fit_swing(problem: SwingProblem, x: Array, progress: Progress) -> Fitted:
 
 
 def _search(problem: SwingProblem, x: Array, progress: Progress) -> Fitted:
-    """Huber's loss of residuals over their scale, which follows from the residuals themselves."""
-    prior = np.eye(problem.unknown)[2:]
     left = _residual(problem, predict(problem, x))
-    scale, moved = _scale(left), True
-    for _ in range(_SCALES):
-        found = least_squares(
-            lambda x, scale=scale: np.concatenate([_left_or_inf(problem, x) / scale, prior @ x]),
-            x,
-            lambda x, scale=scale: np.concatenate([_slope(problem, x) / scale, prior]),
-            loss="huber",
-            f_scale=_HUBER,
-            xtol=1e-5,
-            ftol=1e-6,
-            max_nfev=_MOST_STEPS,
-        )
+    moved = True
+    for _ in range(_ROUNDS):
+        scale = _scale(left)
+        weights = np.sqrt(np.minimum(1.0, _HUBER * scale / np.maximum(np.abs(left), 1e-300)))
+        slope = _slope(problem, x, left)
+        rows = np.concatenate([weights[:, None] * slope, _prior_rows(problem, scale)])
+        right = np.concatenate([-weights * left, -_prior_rows(problem, scale) @ x])
+        step = np.linalg.lstsq(rows, right, rcond=None)[0]
+        x, left, share = _stepped(problem, x, step, left, scale)
         progress.advance()
-        x, left, before = found.x, scale * found.fun[: len(left)], scale
-        scale, moved = _scale(left), found.status == 0
-        if not moved and abs(scale / before - 1.0) < _ALIKE:
+        sd = scale * np.sqrt(np.diag(np.linalg.pinv(rows.T @ rows)))
+        moved = bool(np.any(np.abs(share * step) > _ENOUGH * sd)) and share > 0.0
+        if not moved:
             break
-    weights = np.sqrt(np.minimum(1.0, _HUBER * scale / np.maximum(np.abs(left), 1e-300)))
-    rows = np.concatenate([weights[:, None] * _slope(problem, x), scale * prior])
     return Fitted(x, _covariance(problem, rows, weights * left, scale), predict(problem, x), moved)
 
 
-def _left_or_inf(problem: SwingProblem, x: Array) -> Array:
-    """(R,) residuals; infinite where the beam cannot move so, from where the search turns back."""
-    try:
-        return _residual(problem, predict(problem, x))
-    except MechanicsError:
-        return np.full(np.isfinite(problem.swing.seen).sum(), np.inf)
+def _stepped(problem: SwingProblem, x: Array, step: Array, left: Array, scale: float) -> tuple[Array, Array, float]:
+    """The new parameters and residuals, and the share of the step that was taken (0: none lowers the cost)."""
+    before = _cost(left, x, scale)
+    share = min(1.0, _BOLD / max(float(np.abs(step[:2]).max()), 1e-300))
+    for _ in range(8):
+        tried = x + share * step
+        try:
+            found = _residual(problem, predict(problem, tried))
+        except MechanicsError:
+            found = np.full_like(left, np.inf)
+        if _cost(found, tried, scale) < before:
+            return tried, found, share
+        share *= 0.5
+    return x, left, 0.0
+
+
+def _cost(left: Array, x: Array, scale: float) -> float:
+    size = np.abs(left) / scale
+    spread = np.where(size < _HUBER, 0.5 * size**2, _HUBER * size - 0.5 * _HUBER**2)
+    return float(np.sum(spread) + 0.5 * np.sum(x[2:] ** 2))
+
+
+def _prior_rows(problem: SwingProblem, scale: float) -> Array:
+    rows = scale * np.eye(problem.unknown)
+    return rows[2:]
 
 
 def _residual(problem: SwingProblem, predicted: Array) -> Array:
@@ -381,11 +393,14 @@ def _residual(problem: SwingProblem, predicted: Array) -> Array:
     return np.asarray(whitened[np.isfinite(problem.swing.seen)])
 
 
-def _slope(problem: SwingProblem, x: Array) -> Array:
+def _slope(problem: SwingProblem, x: Array, left: Array) -> Array:
     """(R, p) by differences; the simulation's own error is far below the step's effect."""
-    here = _residual(problem, predict(problem, x))
-    steps = 1e-4 * np.eye(problem.unknown)
-    return np.stack([(_residual(problem, predict(problem, x + step)) - here) / 1e-4 for step in steps], axis=1)
+    out = np.empty((len(left), len(x)))
+    for i in range(len(x)):
+        moved = x.copy()
+        moved[i] += 1e-4
+        out[:, i] = (_residual(problem, predict(problem, moved)) - left) / 1e-4
+    return out
 
 
 def _scale(left: Array) -> float:
