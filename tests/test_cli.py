@@ -142,8 +142,8 @@ def test_learn_shows_all_of_it_when_asked(
 ) -> None:
     monkeypatch.setattr(learning_commands, "draw_all", lambda *_, **__: Pictures())
     details = (
-        "chosen", "k(s) is not positive", "together", "paper's k", "clamp angle", "sd before", "Hardly told apart",
-        "assumed to be exact", "converged", "Allowed for",
+        "chosen", "k(s) is not positive", "together", "the paper's regression", "clamp angle", "sd before",
+        "Hardly told apart", "assumed to be exact", "converged", "Allowed for",
     )  # fmt: skip
     shown = [run("learn", "REC", "-o", tmp_path / name, *option).stdout for name, option in (("a", ["-v"]), ("b", []))]
     for words in details:

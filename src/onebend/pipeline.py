@@ -12,6 +12,7 @@ from onebend.beam.model import Beam
 from onebend.beam.setup import SetUp
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError, ResultsError
+from onebend.learning.contradictions import NO_MATERIAL
 from onebend.learning.design import Plan, PlanSettings, plan
 from onebend.learning.frames import with_seen_tags
 from onebend.learning.frequencies import frequency_notices
@@ -117,7 +118,8 @@ def _learned(
         remarks += said
     with watch.whole("validate"):
         beam, trainings = _result(seen, learned, posterior)
-        remarks += modulus_notices(beam, None if posterior is None else posterior.stiffness, seen)
+        sized = posterior is not None and not any(one.about == NO_MATERIAL for one in posterior.contradictions)
+        remarks += modulus_notices(beam, posterior.stiffness if posterior is not None and sized else None, seen)
         pairs, said = _not_learned_from(validated(beam, posterior), seen)
         remarks += said
     if posterior is not None:

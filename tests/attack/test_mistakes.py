@@ -110,7 +110,7 @@ CASES = [
     Case("an empty log", rewrite(FORCE, lambda _: ""), "force.csv is empty"),
     Case("a log of a header", rewrite(FORCE, lambda text: text.splitlines()[0]), "has no rows"),
     Case("semicolons and decimal commas", SPACED, "separated by commas, and decimals written with a point"),
-    Case("semicolons in the tracks", rewrite(MARKERS, lambda text: text.replace(",", ";")), "parted by semicolons"),
+    Case("semicolons in the tracks", rewrite(MARKERS, lambda text: text.replace(",", ";")), "no semicolons"),
     Case("no place of the push", edit(TOML, "[push]\nat_s = 1.0", ""), "Add `.push.` with `at_s = 1.0`"),
     Case("place of the push in metres", edit(TOML, "at_s = 1.0", "at_s = 0.15"), "beyond the push.* Check at_s in"),
     Case("place of the push in millimetres", edit(TOML, "at_s = 1.0", "at_s = 150"), ":27: .push. at_s must be"),

@@ -82,15 +82,15 @@ def test_a_turned_log_stays_usable_because_k_is_right() -> None:
 )
 def test_a_large_contradiction_costs_the_trust_and_is_named(case: str, name: str) -> None:
     posterior = fitted(case)
-    assert posterior.contradictions[0].name == name
+    assert name in {one.name for one in posterior.contradictions}
     assert posterior.grade == "not to be trusted"
     assert name in " ".join(posterior.doubts)
     assert not posterior.band(S).identified.any()
 
 
-def test_the_size_of_lengths_is_twice_their_relative_error() -> None:
+def test_the_size_of_lengths_is_their_relative_error() -> None:
     found = next(one for one in fitted("small").contradictions if one.about == "tag places")
-    assert found.shift == pytest.approx(0.2, rel=0.02)
+    assert found.shift == pytest.approx(0.1, rel=0.02)
 
 
 def test_a_log_that_does_not_follow_the_bending_is_as_large_as_its_misses() -> None:

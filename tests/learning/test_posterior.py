@@ -205,5 +205,5 @@ def test_a_log_whose_error_is_as_large_as_its_force_is_refused_in_one_message() 
     seen, phase = observed(SOFT, forces(20, most=0.05), noise=(2e-5, 1e-3)), np.linspace(0.0, np.pi, 20)
     error = 0.1 * np.stack([np.sin(2.0 * phase), np.cos(3.0 * phase)], axis=1)
     log = replace(seen, force=seen.force + error, force_sd=np.array([0.1, 0.1]))
-    with pytest.raises(LearningError, match=r"made: the error of the force log changes by .* Push harder"):
+    with pytest.raises(LearningError, match=r"made: the error of the force log changes by .* push harder"):
         fit([log], 0.02, settings=replace(IDEAL, functions=8))

@@ -104,7 +104,7 @@ def test_opposite_and_swapped_forces_are_named() -> None:
 
 def test_a_film_at_a_wrong_rate_is_told_to_look_at_it() -> None:
     slow = replace(PUSHED.markers(), time=3.0 * PUSHED.markers().time)
-    with pytest.raises(ObservationError, match=r"frame rate is wrong \(with 10 a second"):
+    with pytest.raises(ObservationError, match=r"frame rate is wrong \(by it the film lasts"):
         assemble(recording(), slow, PUSHED.log(), None, ObserveSettings())
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import onebend
+from onebend.learning.allowances import Entry
 
 FACES = ("", ".beam", ".control", ".lab", ".learning", ".live", ".recording", ".results")
 PLAIN = (".errors", ".progress", ".records")  # modules of which everything is public
@@ -37,7 +38,7 @@ def public(face: str) -> dict[str, Any]:
 def everything() -> dict[str, Any]:
     """All public names, for the types that a module loads only to check them."""
     names = {name: value for face in (*PLAIN, *FACES) for name, value in public(face).items()}
-    return {**names, "ProcessPoolExecutor": ProcessPoolExecutor}
+    return {**names, "ProcessPoolExecutor": ProcessPoolExecutor, "Entry": Entry}
 
 
 def classes_in(hint: Any) -> Iterator[type]:

@@ -1,5 +1,6 @@
 from .allowances import Allowance as Allowance
 from .attribution import Attribution as Attribution
+from .contradictions import Contradiction as Contradiction
 from .criticism import Criticism as Criticism, Finding as Finding, Score as Score, Suspect as Suspect
 from .design import (
     Limits as Limits,

@@ -38,7 +38,8 @@ _STATED = {  # what a cause is of, in words
     "push place": "the place of the push",
     "force direction": "the direction of the force",
 }
-_ABOUT = {"the axes of the force": "axes", "the tags' places at rest": "tag places", "Young's modulus": "no material"}
+NO_MATERIAL = "no material"
+_ABOUT = {"the axes of the force": "axes", "the tags' places at rest": "tag places", "Young's modulus": NO_MATERIAL}
 _OF_THE_FORCE = ("force direction", "axis scale", "clock", "mass", "weight", "push place")
 
 
@@ -118,8 +119,10 @@ def _of_the_axes(problem: FitProblem) -> float:
 
 
 def _rms(off: Array) -> Array:
-    """(m,) m of the tags' distances (F, m, 3)."""
-    return np.asarray(np.sqrt(np.nanmean(np.sum(off[..., :2] ** 2, axis=-1), axis=0)))
+    """(m,) m of the tags' distances (F, m, 3); 0 where a tag was never seen."""
+    squares = np.sum(off[..., :2] ** 2, axis=-1)
+    seen = np.maximum(np.sum(np.isfinite(squares), axis=0), 1)
+    return np.asarray(np.sqrt(np.nansum(squares, axis=0) / seen))
 
 
 def _motion(data: FitData) -> Array:
