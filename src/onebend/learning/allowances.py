@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Literal
@@ -52,7 +52,6 @@ class Allowance:
     sized: bool = False  # the evidence chooses one factor on all of `prior_sd`
     within: tuple[float, float] = ANYTHING  # bounds of each parameter
     least: float = 1.0  # over `prior_sd`, below 1: its size is unknown from this on, see `sites`
-    about: float = 0.0  # the ideal bench's value, where it is not zero
     led: bool = False  # the others go with the first parameter: they are as large as it is likely to be
     powers: Array = field(
         default_factory=_nothing
@@ -647,16 +646,13 @@ def shift_of_lags(shares: Array, every: Array, q: Array, reached: Array) -> tupl
 USUAL_THICKNESS = 0.08  # of the length, in the direction of bending
 NO_THICKNESS = -1.0  # of the relative change of its square: a beam that neither stretches nor shears
 UNKNOWN_SD, KNOWN_SD = 1.2, 0.2  # of the square of the thickness, over the usual or the stated one
-_THINNEST = 0.05  # of `UNKNOWN_SD`: a thinner rod is as good as one without thickness
 _NEAR_NONE = 1e-9  # of it: as good as none, where nothing may be divided by
 
 
 def section(course: PushCourse) -> Allowance:
-    """The relative change of the square of the thickness, from the stated one or the usual one; where nothing is stated
-    a thin rod is as likely as a thick one."""
-    sd, least, about = (KNOWN_SD, 1.0, 0.0) if course.thick else (UNKNOWN_SD, _THINNEST, NO_THICKNESS)
-    one = Allowance("section", "section", "1", ("change of section thickness squared",), np.array([sd]), shared=True)
-    return replace(one, within=(NO_THICKNESS, np.inf), least=least, about=about)
+    """The relative change of the square of the thickness, from the stated one or the usual one."""
+    label, sd = "change of section thickness squared", np.array([KNOWN_SD if course.thick else UNKNOWN_SD])
+    return Allowance("section", "section", "1", (label,), sd, shared=True, within=(NO_THICKNESS, np.inf))
 
 
 def section_at(change: float, stated: float, beam_length: float) -> tuple[RectangularSection, float]:

@@ -52,25 +52,24 @@ def first_site(block: Block, size: float = 1.0) -> tuple[Array, Array]:
 def _matched(block: Block, size: float, mean: Array, variance: Array) -> tuple[Array, Array]:
     """Means and sds (n,) of the prior times normal densities of this mean and variance (n,)."""
     sizes = size * block.prior_sd[:, None] * _sizes(block)
-    lower, upper = (end - block.about for end in block.within)
-    mean, given = mean[:, None] - block.about, np.isfinite(variance)[:, None]
+    mean, given = mean[:, None], np.isfinite(variance)[:, None]
     variance = np.where(given, variance[:, None], 1.0)
     both = np.where(given, 1.0 / (1.0 / sizes**2 + 1.0 / variance), sizes**2)
     middle = np.where(given, both * mean / variance, 0.0)
-    before, _, _ = moments(lower, upper, np.zeros_like(sizes), sizes**2)
-    after, found, spread = moments(lower, upper, middle, both)
+    before, _, _ = moments(*block.within, np.zeros_like(sizes), sizes**2)
+    after, found, spread = moments(*block.within, middle, both)
     total = sizes**2 + variance
     logs = after - before - np.where(given, 0.5 * np.log(total) + 0.5 * mean**2 / total, 0.0)
     weights = np.exp(logs - logsumexp(logs, axis=1, keepdims=True))
     average = np.sum(weights * found, axis=1)
-    return block.about + average, np.sqrt(np.sum(weights * (spread + (found - average[:, None]) ** 2), axis=1))
+    return average, np.sqrt(np.sum(weights * (spread + (found - average[:, None]) ** 2), axis=1))
 
 
 def updated(block: Block, site: tuple[Array, Array], mean: Array, sd: Array, size: float = 1.0) -> tuple[Array, Array]:
     """The site of a block, given its last one and the marginal means and sds (n,) of the posterior under that.
 
     A site wider than the widest normal density in the prior, or far from all of them, is a force without a place to
-    rest: the search may run away with it. A site about the prior's middle then gives the same mean.
+    rest: the search may run away with it. A site about zero then gives the same mean.
     """
     widest = size * _sizes(block)[-1] * block.prior_sd
     precision = np.maximum(1.0 / sd**2 - 1.0 / site[1] ** 2, _LEAST / widest**2)
@@ -79,10 +78,9 @@ def updated(block: Block, site: tuple[Array, Array], mean: Array, sd: Array, siz
     left = np.maximum(1.0 / spread**2 - precision, 1.0 / widest**2)
     middle = (wanted * (precision + left) - without * precision) / left
     if block.least < 1.0:
-        away = wanted - block.about
-        pull = precision * np.divide(without - wanted, away, out=np.zeros_like(away), where=away != 0.0)
-        far = np.abs(middle - block.about) > widest
-        left, middle = np.where(far, np.maximum(pull, 1.0 / widest**2), left), np.where(far, block.about, middle)
+        pull = precision * np.divide(without - wanted, wanted, out=np.zeros_like(wanted), where=wanted != 0.0)
+        far = np.abs(middle) > widest
+        left, middle = np.where(far, np.maximum(pull, 1.0 / widest**2), left), np.where(far, 0.0, middle)
     return _led(block, (middle, 1.0 / np.sqrt(left)), mean, sd)
 
 
