@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -51,7 +52,7 @@ def beside_tags() -> Observations:
     order = np.argsort(np.concatenate([tags.marker_s, points.marker_s]), kind="stable")
     names = {"tag_id": 0, "marker_s": 0, "rest_xy": 0, "rest_angle": 0, "rest_covariance": 0}
     names |= {"xy": 1, "angle": 1, "covariance": 1}
-    joined = {
+    joined: dict[str, Any] = {
         name: np.take(np.concatenate([getattr(tags, name), getattr(points, name)], axis=axis), order, axis=axis)
         for name, axis in names.items()
     }
