@@ -122,8 +122,8 @@ def _learned(
         remarks += modulus_notices(beam, posterior.stiffness if posterior is not None and sized else None, seen)
         pairs, said = _not_learned_from(validated(beam, posterior), seen)
         remarks += said
-    if posterior is not None:
-        failed = tuple(one.name for one, _ in pairs if one.failed)
+    failed = tuple(one.name for one, _ in pairs if one.failed)
+    if posterior is not None and failed:  # else what was computed of it is kept
         posterior = replace(posterior, contradicted_by=failed)
     films = (*seen, *(where for _, where in pairs))
     return Run(

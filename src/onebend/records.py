@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -325,6 +326,11 @@ class ToolTrack:
     s: Array  # (P,)
     sd: Array  # (P,) of s, of each frame by itself
     effects: Array  # (P, n) of s: what one sd of each of n errors that all frames share does
+
+    @cached_property
+    def root(self) -> Array:
+        """(P, P) lower triangular factor of the covariance of `s`."""
+        return np.asarray(np.linalg.cholesky(np.diag(self.sd**2) + self.effects @ self.effects.T))
 
 
 @dataclass(frozen=True)

@@ -53,9 +53,7 @@ class Allowance:
     within: tuple[float, float] = ANYTHING  # bounds of each parameter
     least: float = 1.0  # over `prior_sd`, below 1: its size is unknown from this on, see `sites`
     led: bool = False  # the others go with the first parameter: they are as large as it is likely to be
-    powers: Array = field(
-        default_factory=_nothing
-    )  # (n,) of the displacement in its functions; empty: they do not go with it
+    powers: Array = field(default_factory=_nothing)  # (n,) of the displacement in its functions; empty: none
     of_force: bool = False  # `prior_sd` goes with the largest force
 
     @property
@@ -196,7 +194,6 @@ def rubbing(course: PushCourse) -> Allowance | None:
 # that is smooth in the bending and in time. The evidence chooses its size.
 
 PLACE_SD = 5e-5  # m, of each function's coefficient, before the evidence has chosen
-XY, ANGLE = (0, 1), (2,)  # coordinates of a pose
 LEVER = 0.3  # of the length: a smooth error of place d has a slope of about d over this
 
 

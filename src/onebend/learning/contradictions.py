@@ -16,6 +16,7 @@ from onebend.beam.section import modulus_band
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.learning.criticism import Criticism
 from onebend.learning.fit_data import FitData
+from onebend.learning.frames import marker_rms
 from onebend.learning.linear import FitProblem
 from onebend.learning.optimizer import Optimum
 from onebend.learning.outcome import SOFTEST, STIFFEST, shown_places, stated_section
@@ -108,7 +109,8 @@ def _of_the_log(problem: FitProblem, optimum: Optimum) -> float:
         x[problem.layout.index["force", data.number].where] = 0.0
         off = data.off(predict(data, problem.layout, x, now.solved.q).pose)
         motion = _motion(data)
-        shares.append(float(np.max(_rms(off) / np.maximum(motion, _LITTLE * np.max(motion)))))
+        missed = np.nan_to_num(marker_rms(off[..., :2]))  # nothing of a tag that was never seen
+        shares.append(float(np.max(missed / np.maximum(motion, _LITTLE * np.max(motion)))))
     return max(shares)
 
 
@@ -116,13 +118,6 @@ def _of_the_axes(problem: FitProblem) -> float:
     """Share of the moments that the log's axes leave unexplained where others would leave far less."""
     remarks = (remark for one in problem.recordings for remark in one.observations.source.remarks)
     return max((remark.share for remark in remarks), default=0.0)
-
-
-def _rms(off: Array) -> Array:
-    """(m,) m of the tags' distances (F, m, 3); 0 where a tag was never seen."""
-    squares = np.sum(off[..., :2] ** 2, axis=-1)
-    seen = np.maximum(np.sum(np.isfinite(squares), axis=0), 1)
-    return np.asarray(np.sqrt(np.nansum(squares, axis=0) / seen))
 
 
 def _motion(data: FitData) -> Array:

@@ -577,9 +577,8 @@ def tool_rows(data: FitData, layout: Layout) -> tuple[Array, Array]:
         if where is not None:
             basis = one.basis[: len(time)].T / length
             rows[:, where] = np.stack([np.interp(tool.time, time, of_one) for of_one in basis], axis=1)
-    root = np.linalg.cholesky(np.diag(tool.sd**2) + tool.effects @ tool.effects.T)
     away = tool.s - np.interp(tool.time, time, data.push_s[: len(time)])
-    white = solve_triangular(root, np.column_stack([rows, away]), lower=True)
+    white = solve_triangular(tool.root, np.column_stack([rows, away]), lower=True)
     return white[:, :-1], white[:, -1]
 
 
@@ -587,6 +586,12 @@ def tool_residuals(data: FitData, layout: Layout, x: Array) -> Array:
     """(P,) of the place of the push at parameters x (P,), over its sd in the film."""
     rows, away = tool_rows(data, layout)
     return np.asarray(away - rows @ x[layout.known_to(data.number)])
+
+
+def tool_score(data: FitData, layout: Layout, x: Array) -> Array:
+    """(C,) minus half the gradient of the square of `tool_residuals`."""
+    rows, away = tool_rows(data, layout)
+    return np.asarray(rows.T @ (away - rows @ x[layout.known_to(data.number)]))
 
 
 def own_information(problem: FitProblem, number: int, x: Array) -> list[InformationForm]:

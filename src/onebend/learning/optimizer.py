@@ -48,7 +48,7 @@ from onebend.learning.linear import (
     split_off_force,
     tag_score,
     tool_residuals,
-    tool_rows,
+    tool_score,
 )
 from onebend.learning.normal import InformationForm, JointCovariance
 from onebend.learning.parameters import Layout, Priors, Spline, known_shape, make_layout
@@ -135,9 +135,8 @@ class _Linearised:
         gradient, layout = np.zeros(len(x)), self.problem.layout
         every = zip(self.problem.recordings, self.rows, r, self.estimate.hyperparameters.noise, strict=True)
         for data, rows, residual, noise in every:
-            known, by_tool = layout.known_to(data.number), tool_rows(data, layout)[0]
-            gradient[known] += tag_score(rows, residual, noise) + rest_score(data, layout, x)
-            gradient[known] += by_tool.T @ tool_residuals(data, layout, x)
+            score = tag_score(rows, residual, noise) + rest_score(data, layout, x) + tool_score(data, layout, x)
+            gradient[layout.known_to(data.number)] += score
         if self.problem.frequencies:
             for slopes, there in zip(self.frequency_slopes, self.problem.predicted_frequencies(x), strict=True):
                 gradient += slopes.T @ there.residuals
