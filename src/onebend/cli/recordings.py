@@ -28,7 +28,7 @@ from onebend.recording.bag_topics import FIELDS, BagContents, TopicRow, bag_cont
 from onebend.recording.calibration import NAMES, Board, BoardKind, Calibration, calibrate as calibrate_camera
 from onebend.recording.description import empty_values, key_at
 from onebend.recording.schema import Place, place_name
-from onebend.recording.template import Kind, Told, write_template
+from onebend.recording.template import FoundInFiles, Kind, write_template
 from onebend.report.wording import significant
 from onebend.text_files import to_json
 
@@ -141,8 +141,8 @@ def new(
             names = " and ".join(f"--{kind}" for kind in kinds)
             raise RecordingError(f"{names}: a recording is of one kind. Make a folder of each")
         kind: Kind = kinds[0] if kinds else "video"
-        told = Told() if ros is None else Told(bag_values(ros, folder))
-        path = write_template(folder, kind, told, everything=everything)
+        found = FoundInFiles() if ros is None else FoundInFiles(bag_values(ros, folder))
+        path = write_template(folder, kind, found, everything=everything)
         if not yes and sys.stdin is not None and sys.stdin.isatty():
             text = path.read_text(encoding="utf-8")
             common.say(f"{path}: Enter leaves a line empty.")

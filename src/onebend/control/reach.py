@@ -698,10 +698,8 @@ def _first_order(known: UncertainStiffness, result: Reach) -> Array:
 # In its set-up: Newton's method from the nearest of some forces, each grown from rest.
 
 _MET = 1e-6  # of the length
-_SHARES, _AROUND = (
-    np.array([0.1, 0.3, 0.5, 0.75, 1.0, 1.5, 2.5]),
-    24,
-)  # of the largest force of the recording; directions
+_SHARES = np.array([0.1, 0.3, 0.5, 0.75, 1.0, 1.5, 2.5])  # of the largest force of the recording
+_AROUND = 24  # directions
 _STEP, _LONGEST, _MOST_TRIALS, _SHORTER = 1e-3, 0.3, 20, 0.3  # the first two likewise
 _MOST_STARTS_IN_SETUP = 12
 _ON_THE_WAY = 20

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from onebend.recording.force_log import STRONGEST
-from onebend.recording.signals import LATEST
+from onebend.recording.signals import LATEST, MAD_TO_SD
 from onebend.recording.video import Picture
 from onebend.records import Array
 
@@ -114,7 +114,7 @@ def clock_line(stamp: Array, arrival: Array, *, most_drift: float = MOST_DRIFT) 
     if not len(left):
         left = np.array([np.quantile(lags, LOW)])
     begin = float(np.median(left))
-    return ClockLine(first, begin, 1.0 + slope, float(1.4826 * np.median(np.abs(left - begin))))
+    return ClockLine(first, begin, 1.0 + slope, float(MAD_TO_SD * np.median(np.abs(left - begin))))
 
 
 def _low_point(x: Array, lag: Array) -> tuple[float, float]:

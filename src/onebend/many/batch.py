@@ -25,6 +25,7 @@ from onebend.files.publish import SUMMARY, check_place, enter, with_checksum
 from onebend.files.single_file import as_parquet, write_file
 from onebend.many import tasks
 from onebend.progress import Progress, Silent, track
+from onebend.recording.signals import MAD_TO_SD
 from onebend.records import Array
 from onebend.report.page import render
 from onebend.report.wording import UNKNOWN, significant
@@ -33,7 +34,6 @@ from onebend.text_files import is_number, one_line, quoted, to_json
 # Outliers within groups, by robust scores of level and shape of k(s).
 
 FEWEST = 5  # recordings of a group, for a spread
-MAD_TO_SD = 1.4826  # of a normal
 FALSE_ALARMS = 0.025  # share of groups without a difference that name one, per score
 # The largest score of a normal group of that size, at 1 - FALSE_ALARMS (simulated: tests/many/test_outliers.py). Small
 # groups have large scores, as their median absolute deviation varies.

@@ -46,9 +46,7 @@ Damaged = Literal["refuse", "keep"]
 class MassEntry:
     """[[beam.masses]]: something small that rides on the beam."""
 
-    s: float = key(
-        "s = 0.5", PLACE, "its place along the beam, 0 at the clamp, 1 at the tip; of a tag on the base 0 if left out"
-    )
+    s: float = key("s = 0.5", PLACE, "its place along the beam, 0 at the clamp, 1 at the tip")
     mass: float = key("mass_kg = 0.004", MASS, "its mass, kg")
 
 

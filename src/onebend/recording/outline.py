@@ -21,10 +21,9 @@ from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, track
 from onebend.recording.camera import measure_markers, project
 from onebend.recording.entries import Recording
+from onebend.recording.signals import MAD_TO_SD
 from onebend.recording.video import picture_in, timed, upright
 from onebend.records import Array, BoolArray, Detections, IntArray, Markers, OutlineTrack, Remark, View
-
-NORMAL = 1.4826  # sd of a normal distribution over its median deviation
 
 
 @dataclass(frozen=True)
@@ -158,7 +157,7 @@ class Stations:
             whole = np.concatenate([rows * root[:, None], np.diag(1.0 / prior)])
             step = np.linalg.lstsq(whole, np.concatenate([right * root, -state / prior]), rcond=None)[0]
             left = np.abs(right - rows @ step)
-            spread = max(NORMAL * float(np.median(left)), sd)
+            spread = max(MAD_TO_SD * float(np.median(left)), sd)
             weight = np.maximum(1.0 - (left / (5.0 * spread)) ** 2, 0.0) ** 2 + 1e-9
         return np.asarray(state + step)
 
@@ -323,7 +322,7 @@ def first_width(sight: Sight, curve: Curve, part: BoolArray, length: float) -> A
     colour = colour[:, :, : len(out)]  # (2, m, J, 3)
     if len(out) <= 4 * _SIDE:
         return np.full(2, np.nan)
-    noise = NORMAL / math.sqrt(2.0) * np.median(np.abs(np.diff(colour[:, :, : 2 * _SIDE], axis=1)), axis=(0, 1, 2))
+    noise = MAD_TO_SD / math.sqrt(2.0) * np.median(np.abs(np.diff(colour[:, :, : 2 * _SIDE], axis=1)), axis=(0, 1, 2))
     mean = colour.mean(axis=1)
     both = np.concatenate([mean[::-1, :0:-1], mean], axis=1)  # from the other side's far end on
     total = np.cumsum(np.concatenate([np.zeros((2, 1, 3)), both], axis=1), axis=1)
@@ -359,9 +358,9 @@ def appearance(sight: Sight, curve: Curve, half: Array, part: BoolArray, step: f
     width = float(np.median(half[part] * scale))  # px
     across = np.arange(-0.6 * width, 0.6 * width + STEP, STEP)
     colour = sight.planes.at(sight.pixels(curve.xy[part])[:, None] + across[:, None] * normal[:, None])
-    pixel = NORMAL / math.sqrt(2.0) * np.nanmedian(np.abs(np.diff(colour, axis=0)), axis=(0, 1))
+    pixel = MAD_TO_SD / math.sqrt(2.0) * np.nanmedian(np.abs(np.diff(colour, axis=0)), axis=(0, 1))
     smooth = np.lib.stride_tricks.sliding_window_view(colour, min(_SIDE, len(across)), axis=1).mean(axis=-1)
-    spread = NORMAL * np.nanmedian(np.abs(smooth - np.nanmedian(smooth, axis=1, keepdims=True)), axis=(0, 1))
+    spread = MAD_TO_SD * np.nanmedian(np.abs(smooth - np.nanmedian(smooth, axis=1, keepdims=True)), axis=(0, 1))
     least = max(1.0, STEP_SHARE * step)  # of 255: no encoder keeps less
     return Look(np.maximum(spread, least), np.maximum(pixel, 1.0))
 
@@ -498,7 +497,7 @@ def body_width(away: Array, half: Array) -> tuple[Array, float]:
     width = away[:, 0] - away[:, 1]
     often = np.isfinite(width).sum(axis=0) > 0.1 * len(width)
     usual = np.where(often, nan_median(width), 2.0 * half)
-    return usual, NORMAL * float(np.nanmedian(np.abs(width - usual)))
+    return usual, MAD_TO_SD * float(np.nanmedian(np.abs(width - usual)))
 
 
 def middles(each: Array, smooth: Array, spread: float) -> Array:
@@ -531,7 +530,7 @@ def centreline(found: OutlineSearch, stations: Stations, half: Array, sd: float)
     smooth = np.stack([stations.across(stations.curve(a)) @ (b - a) for a, b in zip(found.state, states, strict=True)])
     away = middles(each, smooth, spread) - smooth
     local = away - np.stack([running_median(one, NEIGHBOURS) for one in away])
-    white = NORMAL * float(np.nanmedian(np.abs(local)))
+    white = MAD_TO_SD * float(np.nanmedian(np.abs(local)))
     away = np.where(np.abs(local) <= OUTLIER * white, away, np.nan)
     local = np.clip(local / max(white, 1e-12), -OUTLIER, OUTLIER)
     alike = float(np.nanmean(local[:, 1:] * local[:, :-1]) / max(float(np.nanmean(local**2)), 1e-12))
@@ -609,10 +608,8 @@ def with_outline(
     assert markers.view is not None
     base = detections.corners[:, : len(rec.tags.on_base)]
     try:
-        every = (
-            max(1, round(EVERY / float(np.median(np.diff(detections.time))))) if rec.tags.on_beam and not apart else 1
-        )
-        kept = np.arange(0, len(number), every)
+        each = round(EVERY / float(np.median(np.diff(detections.time)))) if rec.tags.on_beam and not apart else 1
+        kept = np.arange(0, len(number), max(each, 1))
         outline = outline_track(rec, markers.view, base[kept], number[kept], apart=apart, progress=progress)
         outline = spread_over(outline, kept, len(number))
         hung: BoolArray = ~np.asarray(np.isfinite(detections.corners).any(axis=(1, 2, 3)))
@@ -696,7 +693,7 @@ def refuse_lost(middle: Middle, found: OutlineSearch, shown: BoolArray, name: st
             about="outline",
         )
     width = (found.away[:, 0] - found.away[:, 1])[:, shown]
-    off = NORMAL * float(np.nanmedian(np.abs(width - middle.width[shown]))) / float(np.median(middle.width[shown]))
+    off = MAD_TO_SD * float(np.nanmedian(np.abs(width - middle.width[shown]))) / float(np.median(middle.width[shown]))
     if off > MOST_OFF:
         raise ObservationError(
             f"{name}: the curve that was followed leaves the body: its width changes by {100 * off:.0f} % from picture "

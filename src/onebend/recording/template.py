@@ -70,7 +70,7 @@ FIRST_ROWS = 1000  # of tracks, in which every marker is
 
 
 @dataclass(frozen=True)
-class Told:
+class FoundInFiles:
     """What files tell of a recording: keys with their values as TOML by table, ids of tags, and what to know of it."""
 
     values: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
@@ -78,13 +78,15 @@ class Told:
     beam: tuple[int, ...] = ()
     notes: tuple[str, ...] = ()
 
-    def __add__(self, other: Told) -> Told:
+    def __add__(self, other: FoundInFiles) -> FoundInFiles:
         values = {name: {**self.values.get(name, {}), **table} for name, table in other.values.items()}
         ids = self.base or other.base, self.beam or other.beam
-        return Told({**self.values, **values}, *ids, (*self.notes, *other.notes))
+        return FoundInFiles({**self.values, **values}, *ids, (*self.notes, *other.notes))
 
 
-def write_template(folder: Path | str, kind: Kind = "video", told: Told = Told(), *, everything: bool = False) -> Path:
+def write_template(
+    folder: Path | str, kind: Kind = "video", found: FoundInFiles = FoundInFiles(), *, everything: bool = False
+) -> Path:
     """Write a `recording.toml` to fill in into `folder` (made if need be), and for hand readings and photos tables to
     fill in; return its path. `everything`: with all optional keys, commented out.
 
@@ -94,9 +96,9 @@ def write_template(folder: Path | str, kind: Kind = "video", told: Told = Told()
     path = Path(folder) / FILE_NAME
     if path.exists():
         raise RecordingError(f"{path} exists already. Edit it, or name another folder.")
-    told = told_by_files(path.parent, kind) + told
+    found = found_in_folder(path.parent, kind) + found
     try:
-        write_file(path, template(kind, told, everything=everything))
+        write_file(path, template(kind, found, everything=everything))
         for name, content in _stubs(path.parent, kind).items():
             if not (path.parent / name).exists():
                 write_file(path.parent / name, content)
@@ -114,9 +116,9 @@ def _stubs(folder: Path, kind: Kind) -> dict[str, str]:
     return {"loads.csv": STUBS["loads.csv"] + "".join(f"{name},,\n" for name in photos if "," not in name)}
 
 
-def told_by_files(folder: Path, kind: Kind) -> Told:
+def found_in_folder(folder: Path, kind: Kind) -> FoundInFiles:
     """What the film, the force log or the tracks in a folder tell; nothing where there are several that it may be."""
-    told = Told()
+    found = FoundInFiles()
     tables = {"video": (("video", FILMS), ("force", LOGS)), "mocap": (("markers", LOGS), ("force", LOGS))}
     for table, endings in tables.get(kind, ()):
         names = [one for one in sorted(folder.glob("[!.]*")) if one.suffix.lower() in endings and one.is_file()]
@@ -124,16 +126,16 @@ def told_by_files(folder: Path, kind: Kind) -> Told:
             names = [one for one in names if one.stem == table]
         if len(names) != 1 or not names[0].name.isprintable():
             continue
-        read = {"video": told_by_film, "force": told_by_log, "markers": told_by_tracks}[table]
-        told += Told({table: {"file": to_json(names[0].name)}})
+        read = {"video": found_in_film, "force": found_in_log, "markers": found_in_tracks}[table]
+        found += FoundInFiles({table: {"file": to_json(names[0].name)}})
         try:
-            told += read(names[0])
+            found += read(names[0])
         except OnebendError as wrong:
-            told += Told(notes=(str(wrong),))
-    return told
+            found += FoundInFiles(notes=(str(wrong),))
+    return found
 
 
-def told_by_film(path: Path) -> Told:
+def found_in_film(path: Path) -> FoundInFiles:
     """Frame rate, date and tags. The tag that moves least is on the base; the others follow by their distance."""
     from onebend.recording.preview import LOOKS, spread_frames  # here: without a film nothing decodes one
     from onebend.recording.video import opened
@@ -152,12 +154,12 @@ def told_by_film(path: Path) -> Told:
         places.setdefault(tag.tag_id, []).append(tag.corners.mean(axis=0))
     middle = {tag: np.mean(where, axis=0) for tag, where in places.items() if 2 * len(where) >= len(frames)}
     if not middle:
-        return Told(notes=(f"{note}; no tag in it",))
+        return FoundInFiles(notes=(f"{note}; no tag in it",))
     base = min(middle, key=lambda tag: float(np.std(places[tag], axis=0).sum()))
     beam = sorted(middle.keys() - {base}, key=lambda tag: float(np.linalg.norm(middle[tag] - middle[base])))
     values = {} if family == FAMILIES[0] else {"tags": {"family": to_json(family)}}
     known = f"tags {', '.join(map(str, sorted(middle)))}, of which tag {base} moves least"
-    return Told(values, (base,), tuple(beam), (f"{note}; {known}",))
+    return FoundInFiles(values, (base,), tuple(beam), (f"{note}; {known}",))
 
 
 def _tags_in(frames: list[FilmFrame]) -> tuple[str, tuple[tuple[Sighting, ...], ...]]:
@@ -170,17 +172,17 @@ def _tags_in(frames: list[FilmFrame]) -> tuple[str, tuple[tuple[Sighting, ...], 
     return FAMILIES[0], ()
 
 
-def told_by_log(path: Path) -> Told:
+def found_in_log(path: Path) -> FoundInFiles:
     """The columns of time and forces and their units, where the header is not the usual one."""
     header = next(_rows(path), [])
     forces = likely_forces(header) or _forces_in(header)
     time = next((name for name in header if name.lower() in TIMES or TIME_NAME.match(name)), None)
     if forces is None or time is None or (time, *forces) == ("time_s", "fx_N", "fy_N"):
-        return Told()
+        return FoundInFiles()
     unit = match[1] if (match := OTHER_TIME.search(time)) else TIMES.get(time.lower(), "s") or "s"
     values = {"columns": to_json([time, *forces])} | ({} if unit == "s" else {"time_unit": to_json(unit)})
     wrong = unit_in_name((time, *forces), unit)
-    return Told({"force": values}, notes=(f"{path.name}: {wrong}",) if wrong else ())
+    return FoundInFiles({"force": values}, notes=(f"{path.name}: {wrong}",) if wrong else ())
 
 
 def _forces_in(header: list[str]) -> tuple[str, str] | None:
@@ -188,14 +190,14 @@ def _forces_in(header: list[str]) -> tuple[str, str] | None:
     return (named["x"], named["y"]) if {"x", "y"} <= named.keys() else None
 
 
-def told_by_tracks(path: Path) -> Told:
+def found_in_tracks(path: Path) -> FoundInFiles:
     """The markers' ids."""
     rows = islice(_rows(path), FIRST_ROWS)
     header = next(rows, [])
     if "id" not in header:
-        return Told()
+        return FoundInFiles()
     ids = {row[header.index("id")].strip() for row in rows if len(row) == len(header)}
-    return Told(beam=tuple(sorted(int(one) for one in ids if one.isdigit())))
+    return FoundInFiles(beam=tuple(sorted(int(one) for one in ids if one.isdigit())))
 
 
 def _rows(path: Path) -> Iterator[list[str]]:
@@ -203,13 +205,13 @@ def _rows(path: Path) -> Iterator[list[str]]:
         yield from (row for _, row in csv_rows(path, RecordingError))
 
 
-def template(kind: Kind = "video", told: Told = Told(), *, everything: bool = False) -> str:
+def template(kind: Kind = "video", found: FoundInFiles = FoundInFiles(), *, everything: bool = False) -> str:
     """The text of the template: it keeps the schema once what is empty is filled in."""
     camera = kind in ("video", "ros", "photos")
-    values = {name: {**DEFAULTS.get(name, {}), **told.values.get(name, {})} for name in TABLES_OF[kind]}
+    values = {name: {**DEFAULTS.get(name, {}), **found.values.get(name, {})} for name in TABLES_OF[kind]}
     beam = {"length_m": TO_FILL_IN} | ({"mass_kg": TO_FILL_IN} if kind == "weights" else {})
-    tags = {**({"size_m": TO_FILL_IN} if camera else {}), **told.values.get("tags", {})}
-    places = [{"id": str(one), "s": TO_FILL_IN} for one in told.beam or ((1, 2, 3) if kind == "weights" else ())]
+    tags = {**({"size_m": TO_FILL_IN} if camera else {}), **found.values.get("tags", {})}
+    places = [{"id": str(one), "s": TO_FILL_IN} for one in found.beam or ((1, 2, 3) if kind == "weights" else ())]
     listed = "[[points]]" if kind == "weights" else "[[tags.on_beam]]"
 
     def table(header: str, record: type, values: Mapping[str, str]) -> str:
@@ -217,11 +219,11 @@ def template(kind: Kind = "video", told: Told = Told(), *, everything: bool = Fa
 
     parts = [
         f"# {WHAT[kind]}, for onebend. Fill in what is empty. Units are in the names.",
-        *(f"# {note}" for note in told.notes),
+        *(f"# {note}" for note in found.notes),
         f"\nformat = {FORMAT}\n",
         table("[beam]", BeamEntry, beam),
         *([table("[tags]", TagsEntry, tags)] if everything or camera else []),
-        *([table("[[tags.on_base]]", TagEntry, {"id": str(*told.base)})] if camera else []),
+        *([table("[[tags.on_base]]", TagEntry, {"id": str(*found.base)})] if camera else []),
         *(table(listed, TagEntry, one) for one in places or [{"id": TO_FILL_IN, "s": TO_FILL_IN}] * 3),
         *(table(f"[{name}]", SECTIONS[name], keys) for name, keys in values.items()),
     ]

@@ -15,7 +15,7 @@ from scipy.ndimage import binary_closing, map_coordinates, uniform_filter
 
 from onebend.recording.camera import camera_place, project
 from onebend.recording.entries import Recording
-from onebend.recording.signals import from_clamp
+from onebend.recording.signals import MAD_TO_SD, from_clamp
 from onebend.recording.tool_edges import ToolStrip, contacts
 from onebend.recording.video import KeptFrames, Picture, pictures_at
 from onebend.records import (
@@ -88,7 +88,7 @@ def deviations(pictures: Pictures, by: BoolArray | None = None) -> Pictures:
     brightness = np.maximum(np.median(ratio, axis=(1, 2)), 1e-3)[:, None, None].astype(np.float32)
     even = pictures / brightness
     away = np.abs(even - middle(even[by]))
-    noise = 1.4826 * middle(away[by])
+    noise = MAD_TO_SD * middle(away[by])
     floor = max(float(np.median(noise)), 0.1)  # of 255: no camera's noise is less, a film without any is a drawing
     return np.asarray(away / np.maximum(uniform_filter(noise, 3), floor))
 
@@ -375,7 +375,7 @@ def place_of(found: Sequence[Sequence[Meeting]], pushed: BoolArray, length: floa
     if len(_at(resting, left, s)) > 0.85 * len(resting):
         return not_seen(f"what lies against the beam at s = {s:.2g} is there at rest too")
     width = float(np.median([one.width for one in own]))
-    sd = float(np.hypot(width / length / sqrt(12.0), 1.4826 * np.median([abs(one.s - s) for one in own])))
+    sd = float(np.hypot(width / length / sqrt(12.0), MAD_TO_SD * np.median([abs(one.s - s) for one in own])))
     return ToolPlace(min(s, 1.0), sd, width, left, shown, "")
 
 
@@ -422,7 +422,7 @@ def _followed(
     effects = np.stack([np.full(len(turn), TOUCH), ROLLS * turn, LIFTED * away / distance], axis=1)
     effects *= touch.width / grid.length
     s = s[clear]
-    scatter = 1.4826 * float(np.median(np.abs(s - np.polyval(np.polyfit(turn, s, 1), turn))))
+    scatter = MAD_TO_SD * float(np.median(np.abs(s - np.polyval(np.polyfit(turn, s, 1), turn))))
     sd = max(scatter, 0.5 * grid.step / grid.length)
     whole = float(np.hypot(sd / sqrt(len(s)), np.linalg.norm(effects.mean(axis=0))))
     track = ToolTrack(time[clear], s, np.full(len(s), sd), effects)

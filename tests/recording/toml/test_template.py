@@ -13,7 +13,14 @@ from onebend.cli import recordings as commands
 from onebend.errors import ObservationError, RecordingError
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe
-from onebend.recording.template import Told, template, told_by_files, told_by_log, told_by_tracks, write_template
+from onebend.recording.template import (
+    FoundInFiles,
+    found_in_folder,
+    found_in_log,
+    found_in_tracks,
+    template,
+    write_template,
+)
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 TRAIN = EXAMPLES / "linear-beam" / "train"
@@ -28,10 +35,10 @@ def data(text: str) -> dict[str, object]:
 def test_the_film_tells_its_tags_its_rate_and_its_date(tmp_path: Path) -> None:
     for name in ("video.mp4", "force.csv"):
         shutil.copy(TRAIN / name, tmp_path / name)
-    told = told_by_files(tmp_path, "video")
-    assert (told.base, told.beam) == ((0,), (1, 2, 3))  # by what moves least, and then by the distance from it
-    assert "30 frames a second, 1280 x 720; tags 0, 1, 2, 3, of which tag 0 moves least" in told.notes[0]
-    assert "columns" not in told.values["force"]
+    found = found_in_folder(tmp_path, "video")
+    assert (found.base, found.beam) == ((0,), (1, 2, 3))  # by what moves least, and then by the distance from it
+    assert "30 frames a second, 1280 x 720; tags 0, 1, 2, 3, of which tag 0 moves least" in found.notes[0]
+    assert "columns" not in found.values["force"]
     tags = data(write_template(tmp_path).read_text(encoding="utf-8"))["tags"]
     assert isinstance(tags, dict)
     assert [tag["id"] for tag in tags["on_base"]] == [0]
@@ -60,15 +67,15 @@ def test_a_log_tells_its_columns_and_units(
     tmp_path: Path, header: str, columns: list[str] | None, unit: str | None, note: str
 ) -> None:
     (tmp_path / "log.csv").write_text(f"{header}\n0,0,0,0\n")
-    told = told_by_log(tmp_path / "log.csv")
-    found = data("\n".join(f"{name} = {value}" for name, value in told.values.get("force", {}).items()))
-    assert (found.get("columns"), found.get("time_unit")) == (columns, unit)
-    assert note in " ".join(told.notes)
+    found = found_in_log(tmp_path / "log.csv")
+    keys = data("\n".join(f"{name} = {value}" for name, value in found.values.get("force", {}).items()))
+    assert (keys.get("columns"), keys.get("time_unit")) == (columns, unit)
+    assert note in " ".join(found.notes)
 
 
 def test_tracks_tell_their_markers(tmp_path: Path) -> None:
     (tmp_path / "markers.csv").write_text("time_s,id,x_m,y_m\n0,7,0,0\n0,3,0,0\n0.1,7,0,0\n")
-    assert told_by_tracks(tmp_path / "markers.csv").beam == (3, 7)
+    assert found_in_tracks(tmp_path / "markers.csv").beam == (3, 7)
 
 
 def test_only_needed_keys_stand_there_unless_all_are_asked_for() -> None:
@@ -133,7 +140,7 @@ def test_grams_for_kilograms_in_the_loads_are_refused_by_the_beams_weight(tmp_pa
 def test_answers_are_checked_and_written_where_the_template_is_empty(monkeypatch: pytest.MonkeyPatch) -> None:
     given = iter(["wide", "0.15", "", "90", "robot"])
     monkeypatch.setattr(typer, "prompt", lambda *_, **__: next(given))
-    text = template(told=Told(base=(0,), beam=(1,)))
+    text = template(found=FoundInFiles(base=(0,), beam=(1,)))
     wanted = {"length_m", "size_m", "acts_on", "rotation_deg"}
     asked: list[str] = []
 
