@@ -14,7 +14,7 @@ from onebend.beam.model import Beam
 from onebend.errors import ExportError
 from onebend.export import documents, source
 from onebend.export.chain import HINGES
-from onebend.export.sample import PARTS, Request, RodSample, axial_bands, left_out, rod_sample
+from onebend.export.sample import PARTS, Request, RodSample, axial_bands, drawn_for_bands, left_out, rod_sample
 from onebend.files.single_file import as_csv, as_parquet
 from onebend.progress import one_blas_thread
 from onebend.records import Array
@@ -37,7 +37,7 @@ def columns(rod: RodSample, samples: tuple[RodSample, ...] = ()) -> dict[str, Ar
         band = rod.uncertain.band(s)
         low, high, identified = band.low, band.high, band.identified.astype(float)
     axial = dict(zip(("EA", "kGA"), rod.axial(s) if rod.stretches else (unknown, unknown), strict=True))
-    bands = axial_bands(rod, s)
+    bands = axial_bands(rod, drawn_for_bands(rod) if rod.stretches else (), s)
     digits = len(str(len(samples)))
     return {
         "s": s,

@@ -257,21 +257,26 @@ DRAWS = 400  # for the bands of what is no k(s)
 _ENDS = (0.025, 0.975)
 
 
-def axial_bands(rod: RodSample, s: Array) -> dict[str, Array]:
+def drawn_for_bands(rod: RodSample) -> tuple[RodSample, ...]:
+    """The draws of the bands below; () where no band of k(s) is known."""
+    return () if rod.uncertain is None else drawn(rod, DRAWS, seed=0)
+
+
+def axial_bands(rod: RodSample, draws: tuple[RodSample, ...], s: Array) -> dict[str, Array]:
     """(2, S) N, the 95 % bands of "EA" and "kGA" at `s`; NaN where they, or the band of k(s), are not known."""
-    if rod.uncertain is None or not rod.stretches:
+    if not draws or not rod.stretches:
         return dict.fromkeys(("EA", "kGA"), np.full((2, len(s)), np.nan))
-    values = np.array([one.axial(s) for one in drawn(rod, DRAWS, seed=0)])  # infinite where a draw does not stretch
+    values = np.array([one.axial(s) for one in draws])  # infinite where a draw does not stretch
     low, high = np.quantile(values, _ENDS, axis=0, method="inverted_cdf")
     return {"EA": np.stack([low[0], high[0]]), "kGA": np.stack([low[1], high[1]])}
 
 
-def relaxing_bands(rod: RodSample) -> tuple[tuple[float, float], ...]:
+def relaxing_bands(rod: RodSample, draws: tuple[RodSample, ...]) -> tuple[tuple[float, float], ...]:
     """The 95 % band of the share that relaxes with each time; () where no band is known."""
-    if rod.uncertain is None or rod.setup is None or not rod.relaxation:
+    if not draws or rod.setup is None or not rod.relaxation:
         return ()
-    shares = {part.time: np.zeros(DRAWS) for part in rod.relaxation}
-    for i, one in enumerate(drawn(rod, DRAWS, seed=0)):
+    shares = {part.time: np.zeros(len(draws)) for part in rod.relaxation}
+    for i, one in enumerate(draws):
         for part in one.relaxation:
             shares[part.time][i] = part.share
     low, high = np.quantile(np.array(list(shares.values())), _ENDS, axis=1)

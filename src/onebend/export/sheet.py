@@ -17,7 +17,7 @@ from matplotlib.transforms import Bbox
 
 from onebend.beam.section import modulus_band, one_modulus
 from onebend.errors import MechanicsError
-from onebend.export.sample import RodSample, axial_bands, relaxing_bands
+from onebend.export.sample import RodSample, axial_bands, drawn_for_bands, relaxing_bands
 from onebend.records import Array
 
 A4 = (8.27, 11.69)  # inches
@@ -77,16 +77,17 @@ def _facts(rod: RodSample) -> list[tuple[str, str]]:
     one = one_modulus(rod.uncertain or beam.stiffness, beam.length, rod.section)
     if one is not None:
         facts += [("E", f"{_pascal(one[0])} as one number; 95 %: {_pascal(one[1])} to {_pascal(one[2])}")]
+    draws = drawn_for_bands(rod) if rod.stretches or rod.relaxation else ()
     if rod.stretches:
         stretch, shear = rod.axial(_LINE)
-        (low, high), _ = axial_bands(rod, _LINE).values()
+        (low, high), _ = axial_bands(rod, draws, _LINE).values()
         end = f"to {high.max():.3g} N" if np.isfinite(high).all() else "N or more"  # it may not stretch at all
         band = f"; 95 %: {low.min():.3g} {end}" if np.isfinite(low).all() else ""
         facts += [("EA", f"{stretch.min():.3g} to {stretch.max():.3g} N{band}")]
         facts += [("kGA", f"{shear.min():.3g} to {shear.max():.3g} N")]
     if rod.damping_time is not None:
         facts += [("damping", f"over stiffness: {rod.damping_time:.3g} s")]
-    bands = relaxing_bands(rod) or ((math.nan, math.nan),) * len(rod.relaxation)
+    bands = relaxing_bands(rod, draws) or ((math.nan, math.nan),) * len(rod.relaxation)
     for part, (low_share, high_share) in zip(rod.relaxation, bands, strict=True):
         said = f"; 95 %: {100 * low_share:.2g} to {100 * high_share:.2g} %" if math.isfinite(low_share) else ""
         facts += [("relaxes", f"{100 * part.share:.2g} % within {part.time:.3g} s{said}")]

@@ -153,7 +153,7 @@ def _rests_on(posterior: Posterior | None) -> str:
 
 def _given(recordings: Sequence[Observations]) -> str:
     """The facts on which the size of k(s) depends, as stated."""
-    first = recordings[0]
+    first, weighed = recordings[0], bool(np.isfinite(recordings[0].stated.mass))
     facts = []
     if any(map(is_forced, recordings)):
         size = max(float(np.nanmax(np.linalg.norm(one.force, axis=1), initial=0.0)) for one in recordings)
@@ -162,7 +162,7 @@ def _given(recordings: Sequence[Observations]) -> str:
         facts.append(say("given: place", place=span(float(np.nanmin(first.push_s)), float(np.nanmax(first.push_s)))))
     facts.append(say("given: length", length=first.length))
     if any(np.any(one.gravity) for one in recordings):
-        facts.append(say("given: weight", mass=first.stated.mass) if np.isfinite(first.stated.mass) else "gravity")
+        facts.append(say("given: weight", mass=first.stated.mass) if weighed else say("given: gravity"))
     elif facts and not only_frequencies(recordings):
         facts.append(say("given: no weight"))
     return ", ".join(facts)
