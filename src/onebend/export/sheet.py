@@ -81,10 +81,10 @@ def _facts(rod: RodSample) -> list[tuple[str, str]]:
     if rod.stretches:
         stretch, shear = rod.axial(_LINE)
         (low, high), _ = axial_bands(rod, draws, _LINE).values()
-        end = f"to {high.max():.3g} N" if np.isfinite(high).all() else "N or more"  # it may not stretch at all
-        band = f"; 95 %: {low.min():.3g} {end}" if np.isfinite(low).all() else ""
-        facts += [("EA", f"{stretch.min():.3g} to {stretch.max():.3g} N{band}")]
-        facts += [("kGA", f"{shear.min():.3g} to {shear.max():.3g} N")]
+        end = f"to {_digits(high.max())} N" if np.isfinite(high).all() else "N or more"  # it may not stretch at all
+        band = f"; 95 %: {_digits(low.min())} {end}" if np.isfinite(low).all() else ""
+        facts += [("EA", f"{_digits(stretch.min())} to {_digits(stretch.max())} N{band}")]
+        facts += [("kGA", f"{_digits(shear.min())} to {_digits(shear.max())} N")]
     if rod.damping_time is not None:
         facts += [("damping", f"over stiffness: {rod.damping_time:.3g} s")]
     bands = relaxing_bands(rod, draws) or ((math.nan, math.nan),) * len(rod.relaxation)
@@ -162,6 +162,11 @@ def _draw_table(axes: Axes, rod: RodSample) -> None:
 def _top(middle: Array, edge: float) -> float:
     """Of an axis: all of the band, but not more than three times the largest value."""
     return min(edge, 3.0 * float(np.nanmax(middle)))
+
+
+def _digits(value: float) -> str:
+    """Three digits, thousands written out."""
+    return f"{float(f'{value:.3g}'):g}"
 
 
 def _pascal(value: float) -> str:
