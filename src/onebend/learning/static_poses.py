@@ -17,7 +17,7 @@ from onebend.beam.statics import Equilibrium, correct, is_convex, is_stable
 from onebend.beam.stiffness import UncertainStiffness, half_width
 from onebend.learning.outcome import Notice
 from onebend.learning.parameters import KnownShape, Layout, forced, known_shape, needs_mass
-from onebend.records import Array, BoolArray, IntArray, Observations
+from onebend.records import UNKNOWN_ANGLE_SD, Array, BoolArray, IntArray, Observations, tags_among
 
 _SAME_BRANCH = 0.7  # rad, the largest turn of Newton's method from a shape that is still on its branch
 _ROPE = 20.0  # of `int sqrt(L N / k) ds`: above it the search may miss equilibria, and the shape seen is let fall, too
@@ -54,6 +54,7 @@ def seen_poses(o: Observations, frames: BoolArray) -> SeenPoses | None:
     unknown = np.full(len(o.time), np.nan)
     told = (unknown, unknown, unknown) if o.poses is None else (o.poses.clamp, o.poses.turned_from, o.poses.order)
     sd = np.sqrt(np.diagonal(o.covariance, axis1=-2, axis2=-1))
+    sd[:, ~tags_among(o), 2] = UNKNOWN_ANGLE_SD  # the direction of a curve is no measurement of its own
     return SeenPoses(o.marker_s, o.xy, o.angle, sd, *told).take(frames)
 
 

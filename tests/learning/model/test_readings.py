@@ -89,7 +89,7 @@ def test_errors_alike_along_the_beam_are_made_independent() -> None:
     covariance = o.covariance.copy()
     covariance[..., :2, :2] = roots @ np.swapaxes(roots, -1, -2) + 1e-9 * np.eye(2)
     measured = np.concatenate([xy, o.angle[..., None]], axis=-1)
-    whiten = pose_whitening(o, measured, covariance)
+    whiten = pose_whitening(o, measured, covariance, np.zeros((4, 5, 2)))
     assert whiten.shape == (4, 15, 15)
     alike = matern(LENGTH * np.abs(PLACES[:, None] - PLACES), 0.1)
     assert matern(np.array(0.1), 0.1) == pytest.approx(0.5)
@@ -108,7 +108,7 @@ def test_errors_alike_along_the_beam_are_made_independent() -> None:
         assert np.all(whiten[pose][np.setdiff1d(np.arange(15), seen)] == 0.0)
     away = np.where(np.isfinite(measured), 1e-3 * rng.normal(size=measured.shape), 0.0)
     np.testing.assert_allclose(unwhitened(whiten, whitened(whiten, away[..., None])[..., 0]), away, atol=1e-12)
-    plain = pose_whitening(replace(o, readings=Readings()), measured, covariance)
+    plain = pose_whitening(replace(o, readings=Readings()), measured, covariance, np.zeros((4, 5, 2)))
     np.testing.assert_array_equal(plain, whitening(measured, covariance))
     np.testing.assert_allclose(unwhitened(plain, whitened(plain, away[..., None])[..., 0]), away, atol=1e-12)
 
