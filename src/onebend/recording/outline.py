@@ -594,9 +594,7 @@ def outline_track(
     middle = centreline(found, stations, half, MEASURED / scale)
     refuse_lost(middle, found, ~hidden, rec.name)
     out = points_of(middle, found, stations, [Sight(_NO_PLANES, view, one) for one in shift], scale)
-    kept = np.isfinite(out.sd).mean(axis=0) >= LEAST_SHARE
-    every = {name: getattr(out, name)[:, kept] for name in ("px", "ahead", "sd")}
-    return replace(out, s=out.s[kept], width=out.width[kept], remarks=lost_remarks(found), **every)
+    return replace(often_seen(out), remarks=lost_remarks(found))
 
 
 # Beside tags the outline is used only where it agrees with them. A tag may sit beside the middle of the body, by its
@@ -760,3 +758,10 @@ def points_of(
         px[t], ahead[t] = sight.pixels(there), sight.pixels(there + 0.5 / POINTS * stations.length * tangent)
     width = np.array([np.median(middle.width[group == i]) for i in range(POINTS)])
     return OutlineTrack(s, px, ahead, sd, width)
+
+
+def often_seen(outline: OutlineTrack) -> OutlineTrack:
+    """Without the points that most frames do not show."""
+    kept = np.isfinite(outline.sd).mean(axis=0) >= LEAST_SHARE
+    px, ahead, sd = (one[:, kept] for one in (outline.px, outline.ahead, outline.sd))
+    return replace(outline, s=outline.s[kept], px=px, ahead=ahead, sd=sd, width=outline.width[kept])

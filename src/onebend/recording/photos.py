@@ -272,8 +272,8 @@ def read_clicks(rec: Recording, names: tuple[str, ...]) -> tuple[Clicks, ...]:
         rec.photos.clicks, ("x_px", "y_px"), ("s",), labels=("pose",), kind="table of clicks", strict=True
     )
     s, px = table.get("s"), np.stack([table.get("x_px"), table.get("y_px")], axis=1)
-    table.refuse(~np.isfinite(px).all(axis=1), "a click needs x_px and y_px.")
-    table.refuse(np.asarray((s <= 0.0) | (s > 1.0)), "s of the last click lies above 0 and is at most 1. Leave it empty elsewhere.")
+    table.refuse(np.asarray(~np.isfinite(px).all(axis=1)), "a click needs x_px and y_px.")
+    table.refuse((s <= 0.0) | (s > 1.0), "s of the last click lies above 0 and is at most 1. Leave it empty elsewhere.")
     pose, out, number = np.array(table.labels["pose"]), [], np.arange(len(s))
     table.refuse(~np.isin(pose, names), f"the pose is not in {rec.photos.loads.name}. Name it there.")
     for name in names:
