@@ -360,7 +360,7 @@ def appearance(sight: Sight, curve: Curve, half: Array, part: BoolArray, step: f
     colour = sight.planes.at(sight.pixels(curve.xy[part])[:, None] + across[:, None] * normal[:, None])
     pixel = MAD_TO_SD / math.sqrt(2.0) * np.nanmedian(np.abs(np.diff(colour, axis=0)), axis=(0, 1))
     smooth = np.lib.stride_tricks.sliding_window_view(colour, min(_SIDE, len(across)), axis=1).mean(axis=-1)
-    spread = MAD_TO_SD * np.nanmedian(np.abs(smooth - np.nanmedian(smooth, axis=1, keepdims=True)), axis=(0, 1))
+    spread = MAD_TO_SD * np.nanmedian(np.abs(smooth - nan_median(smooth, axis=1)[:, None]), axis=(0, 1))
     least = max(1.0, STEP_SHARE * step)  # of 255: no encoder keeps less
     return Look(np.maximum(spread, least), np.maximum(pixel, 1.0))
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import PchipInterpolator
 
 from onebend.errors import ObservationError, RecordingError
 from onebend.progress import Progress, Silent, track
@@ -446,7 +446,7 @@ def found_by_length(photo: Photo, rec: Recording, clicks: Clicks, clamp: float) 
 def through(stations: Stations, points: Array, last: float) -> Array:
     """(1 + K,) numbers of a smooth curve through points (n, 2) m, the last of them at s = `last`."""
     t = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
-    line = make_interp_spline(t, points, k=min(3, len(t) - 1))
+    line = PchipInterpolator(t, points)
     fine = np.linspace(0.0, t[-1], 40 * len(t))
     tangent, places = line.derivative()(fine), line(fine)
     way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
@@ -470,27 +470,34 @@ def along(sight: Sight, stations: Stations, state: Array, shown: BoolArray, name
     Raises:
         ObservationError: no two edges run along the curve.
     """
-    curve, number = stations.curve(state), np.arange(stations.count)
     pieces = np.array_split(np.flatnonzero(shown), PIECES)
-    sides = np.stack([first_width(sight, curve, np.isin(number, piece), stations.length) for piece in pieces])
-    wide = sides.sum(axis=1)
-    usual = float(nan_median(wide)) if math.isnan(width) else width
-    well = np.abs(wide - usual) < ALIKE * usual
-    if math.isfinite(usual) and well.any():
-        middle = np.array([float(np.mean(stations.s[piece])) for piece in pieces])
-        away = np.where(shown, np.interp(stations.s, middle[well], 0.5 * (sides[well, 0] - sides[well, 1])), np.nan)
-        scale = float(np.median(sight.outward(curve)[1]))
-        state = stations.fitted(state, away, CLICKED / scale)
-        half = np.full(stations.count, 0.5 * usual)
-        step = edge_size(sight, stations.curve(state), half, shown)
-        body = refined(sight, stations, state, half, shown, step)
-        for _ in range(ROUNDS):
-            body = None if body is None else refined(sight, stations, body.state, body.half, shown, step)
-        if body is not None:
-            return body
+    middle = np.array([float(np.mean(stations.s[piece])) for piece in pieces])
+    half, clicked = np.full(stations.count, np.nan), state
+    for _ in range(ROUNDS):
+        curve = stations.curve(state)
+        parts = (np.isin(np.arange(stations.count), piece) for piece in pieces)
+        sides = np.stack([first_width(sight, curve, part, stations.length) for part in parts])
+        wide = sides.sum(axis=1)
+        usual = float(nan_median(wide)) if math.isnan(width) else width
+        well = np.abs(wide - usual) < ALIKE * usual
+        if not well.any():
+            break
+        off = np.interp(stations.s, middle[well], 0.5 * (sides[well, 0] - sides[well, 1]))
+        half[:], sd = 0.5 * usual, CLICKED / float(np.median(sight.outward(curve)[1]))
+        new = stations.fitted(state, np.where(shown, off, np.nan), sd)
+        if np.max(np.abs(stations.across(stations.curve(clicked)) @ (new - clicked))[shown]) > usual:
+            break  # farther from the clicks than the body is wide
+        state = new
+    step = edge_size(sight, stations.curve(state), half, shown) if np.isfinite(half).all() else 0.0
+    body = refined(sight, stations, state, half, shown, step)
+    for _ in range(ROUNDS):
+        body = None if body is None else refined(sight, stations, body.state, body.half, shown, step)
+    if body is not None:
+        return body
     raise ObservationError(
         f"{name}: no body is seen along the clicks: no two edges run beside them. Are they of this picture, upright as "
-        "it is shown, and along the middle of the body? Does the body stand out from its background?",
+        "it is shown, and along the middle of the body, more of them where it bends? Does it stand out from its "
+        "background?",
         about="outline",
     )
 
