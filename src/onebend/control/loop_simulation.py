@@ -164,9 +164,8 @@ class _MovingBeam:
         goes_to = self.hand.gain * asked + np.asarray(self.hand.bias)
         decay = np.exp(-self.tick * np.append(self._numbers.c, 1.0) / max(self.hand.lag, 1e-9))
         force = goes_to + decay[:, None] * (self.force - goes_to)
-        pull = self._weight.pull + self._lever[:, None] * force[:-1].T[:, None]
-        acts = replace(self._weight, pull=pull, force=force[:-1])
-        step = self._stepper.advance(self.theta, self._momentum, self._guess, acts, now)
+        pull = self._weight + self._lever[:, None] * force[:-1].T[:, None]
+        step = self._stepper.advance(self.theta, self._momentum, self._guess, pull, now)
         self.theta, self._momentum, self.force = step.theta, step.momentum, force[-1]
         self._guess = step.velocity @ self._numbers.ahead.T
 
