@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -13,7 +15,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from onebend.files.single_file import link_tree
 from onebend.lab import study
 from onebend.progress import Progress, Silent
 from onebend.recording.entries import VideoEntry
@@ -536,4 +537,4 @@ def write_report(folder: Path, outcome: study.StudyOutcome, figures: Mapping[str
         write_table(folder / "tables" / f"{table.key}.csv", table)
     for name in (study.RECORDINGS, study.OBSERVED, study.LEARNED):
         if (outcome.work / name).exists():
-            link_tree(outcome.work / name, folder / name)
+            shutil.copytree(outcome.work / name, folder / name, copy_function=os.link)
