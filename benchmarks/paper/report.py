@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from onebend.lab import study
+from benchmarks.paper import study
 from onebend.progress import Progress, Silent
 from onebend.recording.entries import VideoEntry
 from onebend.recording.video import frame_at
@@ -425,7 +425,7 @@ def page(outcome: study.StudyOutcome, figures: Mapping[str, bytes], *, version: 
         "remarks": [f"{beam.name} beam, {text}" for beam in outcome.beams for text in beam.learned.remarks],
         "files": [file for file in FILES if setting.video or not file[0].startswith("recordings")],
     }
-    return render("onebend.lab", "study.html", figures, content)
+    return render("benchmarks.paper", "study.html", figures, content)
 
 
 def cards(outcome: study.StudyOutcome) -> list[dict[str, str]]:
