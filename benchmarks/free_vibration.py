@@ -79,7 +79,7 @@ def ours(release: Release, modes: int, stages: int, steps: int, tolerance: float
     options = IntegrationSettings(Method(stages), tolerance=tolerance)
     motion = simulate(of, start, 1.0, 1.0 / steps, settings=options)
     states = motion.states_at(np.linspace(0.0, motion.time[-1], FRAMES + 1))
-    return of.xy(np.ones(1), states, np.zeros((FRAMES + 1, 3)))[:, 0]
+    return of.xy(np.ones(1), states)[:, 0]
 
 
 def chain(release: Release, links: int, steps: int, integrator: str) -> tuple[Callable[[], Array], Array]:

@@ -20,14 +20,12 @@ from onebend.beam.continuation import follow
 from onebend.beam.loads import push
 from onebend.beam.problem import Resolution, make_problem
 from onebend.control.loaded_beam import paper_force
-from onebend.control.reach import ReachSettings, WarmReach, reach
-from onebend.errors import ControlError
+from onebend.control.reach import ReachSettings, reach
 from onebend.records import Array, BoolArray
 
 RIGHT = 1e-6  # m
 FINE = Resolution(16, 1.0 / 16.0)  # forces without a bound can be a thousand times k / L
 EACH = 25  # goals on a beam
-WALK = 400  # goals in a row, half a millimetre apart
 
 
 @dataclass
@@ -49,18 +47,13 @@ def newton(beams: int, *, seed: int) -> Tally:
     """Every goal from rest, a new search for each."""
     tally = Tally()
     for one in goals(beams, EACH, seed=seed):
-        warm = WarmReach(one.beam, push_s=one.push_s, point_s=one.point_s)
         force, claimed = np.zeros_like(one.forces), np.zeros(len(one.forces), dtype=bool)
         for i, goal in enumerate(one.goals):
-            warm.reset()
             began = time.process_time()
-            try:
-                hold = warm.solve(goal)
-            except ControlError:
-                continue
+            found = reach(one.beam, goal, push_s=one.push_s, point_s=one.point_s)
             tally.seconds.append(time.process_time() - began)
-            tally.iterations.append(hold.iterations)
-            force[i], claimed[i] = hold.force, True
+            tally.iterations.append(found.iterations)
+            force[i], claimed[i] = found.force, found.converged
         _judge(tally, one, force, claimed)
     return tally
 
@@ -133,23 +126,6 @@ def whole_calls(beams: int, *, seed: int) -> Array:
     return np.array(rows)
 
 
-def warm_times(*, seed: int) -> tuple[Array, Array]:
-    """(G, 2) s, processor's and wall, of each goal of walks on ten beams, and the iterations."""
-    seconds, iterations = [], []
-    for one in goals(10, 1, seed=seed):
-        beam = WarmReach(one.beam, push_s=1.0)
-        along = np.linspace(0.0, 1.0, WALK)
-        force = one.forces[0] * (0.6 + 0.15 * np.stack([np.cos(9.0 * along), np.sin(7.0 * along)], axis=-1))
-        places, _ = places_under(one.beam, force, 1.0, 1.0)
-        beam.solve(places[0])
-        for goal in places[1:]:
-            began, clock = time.process_time(), time.perf_counter()
-            hold = beam.solve(goal)
-            seconds.append((time.process_time() - began, time.perf_counter() - clock))
-            iterations.append(hold.iterations)
-    return np.array(seconds), np.array(iterations)
-
-
 def say_tasks(recordings: Path, count: int, draws: int) -> None:
     known = reach_true.learned(recordings)
     print("The six tasks, each beam learned from its training push alone:\n")
@@ -200,13 +176,6 @@ def say_goals(beams: int, slow: int, wild: int) -> None:
     print(
         f"\nA whole `reach` on a beam it has met before: {median[0]:.2f} ms of a processor, {median[1]:.2f} ms wall "
         f"(medians; 99 %: {late[0]:.1f} and {late[1]:.1f}). The first on a new beam: {median[2]:.1f} ms."
-    )
-    seconds, iterations = warm_times(seed=3)
-    print(
-        f"\nWarm, one goal after another on walks of the tip: {1e6 * np.median(seconds[:, 0]):.0f} us of a processor, "
-        f"{1e6 * np.median(seconds[:, 1]):.0f} us wall (medians; 99 %: "
-        f"{1e6 * np.percentile(seconds[:, 0], 99):.0f} and "
-        f"{1e6 * np.percentile(seconds[:, 1], 99):.0f}), {np.mean(iterations):.1f} iterations."
     )
 
 

@@ -28,11 +28,11 @@ from onebend.beam.clamped_ends import (
 )
 from onebend.beam.loads import Loads
 from onebend.beam.problem import Problem, Resolution, Rod, make_problem
-from onebend.beam.sensitivity import clamp_wrench
 from onebend.beam.statics import Equilibrium, node_angles, potential
 from onebend.errors import MechanicsError
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, IntArray
+from tests.beam.wrench import clamp_wrench
 
 _NEIGHBOUR = 0.05  # rad, the largest turn from a coarser grid's equilibrium to that of a finer grid
 _FAR = 2.0  # rad, from a circular arc's chord: beyond it turning the other way to the chord may be the easier
@@ -70,11 +70,10 @@ def hold(
 
     The angle counts full turns. Where two equilibria have the same energy (a pose on the clamp's axis) the beam bows to
     its left. Without a `resolution` the grid is refined until the curvature is resolved, to 128 nodes a beam at most;
-    `solved.resolved` says whether that was enough. Follower loads are not taken: without an energy there is no saying
-    which equilibrium is lower.
+    `solved.resolved` says whether that was enough.
 
     Raises:
-        MechanicsError: a pose at least as far away as the beam is long, follower loads, or k(s) not positive.
+        MechanicsError: a pose at least as far away as the beam is long, or k(s) not positive.
     """
     goal = _goals(beam, end, loads)
     loads = loads.spread(len(goal))
@@ -119,8 +118,6 @@ def _goals(beam: Rod, end: ArrayLike, loads: Loads) -> Array:
     goal = np.atleast_2d(np.asarray(end, dtype=float))
     if goal.ndim != 2 or goal.shape[1] != 3 or not np.all(np.isfinite(goal)):
         raise MechanicsError(f"a pose is three finite numbers x, y, angle; got an array of shape {np.shape(end)}")
-    if loads.follower.shape[1]:
-        raise MechanicsError("follower loads on a beam held at both ends are not taken; give dead forces")
     goal = np.array(np.broadcast_to(goal, (max(len(goal), loads.size), 3)))
     reach = np.linalg.norm(goal[:, :2], axis=1)
     if np.any(reach >= beam.length):

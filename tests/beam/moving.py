@@ -5,15 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from onebend.beam.dynamics import (
-    Actions,
-    Body,
-    acting,
-    body,
-    mass_matrix,
-)
+from onebend.beam.dynamics import Actions, Body, body, mass_matrix
 from onebend.beam.grid import Modes
-from onebend.beam.integration import MotionState
+from onebend.beam.integration import Motion, MotionState
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution
 from onebend.beam.stiffness import Powers, Scaled, Steps, Uniform
@@ -62,14 +56,38 @@ def force_jacobian(of: Body, theta: Array, at_s: float) -> Array:
     return np.stack([(-row * s) @ of.to_angle, (row * c) @ of.to_angle], axis=-2)
 
 
+def kinetic_energy(of: Body, theta: Array, rate: Array) -> Array:
+    """(...,) J for states and rates (..., n)."""
+    turning, (c, s) = rate @ of.to_angle.T, directions(of, theta)
+    ct, st = c * turning, s * turning
+    carried = ct * (ct @ of.carried) + st * (st @ of.carried) + of.rotary * turning**2
+    return np.asarray(0.5 * np.sum(carried, axis=-1))
+
+
+def elastic_energy(of: Body, theta: Array) -> Array:
+    """(...,) J: `1/2 int k (q - q0)^2`."""
+    return np.asarray(0.5 * np.sum(theta * (theta @ of.stiffness), axis=-1))
+
+
+def weight_energy(of: Body, theta: Array, gravity: Array) -> Array:
+    """(...,) J under gravity (2,) m/s^2, 0 at the origin."""
+    c, s = directions(of, theta)
+    return np.asarray(-(gravity[0] * c + gravity[1] * s) @ of.lever)
+
+
+def energy_of(motion: Motion) -> Array:
+    """(T,) J, without weight."""
+    return kinetic_energy(motion.body, motion.theta, motion.rate) + elastic_energy(motion.body, motion.theta)
+
+
 def by_the_matrices(of: Body, start: MotionState, duration: float, actions: Actions) -> Array:
-    """(2 n,) state and rate after `duration` from (7) as printed, by an explicit method of order 8. Base at rest."""
+    """(2 n,) state and rate after `duration` from (7) as printed, by an explicit method of order 8."""
     gravity = np.asarray(actions.gravity, dtype=float)
 
     def slope(time: float, y: Array) -> Array:
         theta, rate = y[: of.n], y[of.n :]
         right = -coriolis_matrix(of, theta, rate) @ rate - gravity_vector(of, theta, gravity)
-        right += acting(of, actions, np.array([time])).couple[:, 0] - of.stiffness @ theta - of.damping @ rate
+        right -= of.stiffness @ theta + of.damping @ rate
         for force in actions.forces:
             value = force.value(time) if callable(force.value) else force.value
             right += force_jacobian(of, theta, force.at_s).T @ np.asarray(value, dtype=float)

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from onebend.beam.continuation import follow
-from onebend.beam.dynamics import body, kinetic_energy, weight_energy
+from onebend.beam.dynamics import body
 from onebend.beam.grid import Modes
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
@@ -22,7 +22,7 @@ from onebend.export.chain import chain_of
 from onebend.export.export import Kind, export
 from onebend.export.sample import rod_sample
 from onebend.records import Array, PointMass
-from tests.beam.moving import gravity_vector
+from tests.beam.moving import gravity_vector, kinetic_energy, weight_energy
 
 BEAM = Beam(0.3, Steps((0.0, 0.5, 1.0), (0.05, 0.02)), Uniform(0.4), 0.2, Uniform(0.05))
 CLIPS = (PointMass(0.37, 0.004), PointMass(1.0, 0.002))
@@ -82,15 +82,15 @@ def test_frequencies_with_a_mass_at_the_tip(ratio: float) -> None:
 def test_its_motion_and_weight_in_any_shape() -> None:
     """Kinetic energy and potential beside those of the beam alone: m v^2 / 2 and -m g r where it rides."""
     rng, modes = np.random.default_rng(0), Modes(4)
-    theta, rate, base, moving = rng.normal(size=4), rng.normal(size=4), rng.normal(size=3), rng.normal(size=3)
+    theta, rate = rng.normal(size=4), rng.normal(size=4)
     alone, laden = (body(beam, modes, grid=body(LADEN, modes).grid) for beam in (BEAM, LADEN))
     places, step = np.array([0.37, 1.0]), 1e-6
-    ahead, behind = (alone.xy(places, theta[None] + way * rate, base[None] + way * moving)[0] for way in (step, -step))
+    ahead, behind = (alone.xy(places, theta[None] + way * rate)[0] for way in (step, -step))
     masses, speed = np.array([one.mass for one in CLIPS]), (ahead - behind) / (2.0 * step)
-    added = kinetic_energy(laden, theta, rate, base, moving) - kinetic_energy(alone, theta, rate, base, moving)
+    added = kinetic_energy(laden, theta, rate) - kinetic_energy(alone, theta, rate)
     assert added == pytest.approx(0.5 * np.sum(masses[:, None] * speed**2), rel=1e-7)
-    potential = weight_energy(laden, theta, GRAVITY, base) - weight_energy(alone, theta, GRAVITY, base)
-    where = alone.xy(places, theta[None], base[None])[0]
+    potential = weight_energy(laden, theta, GRAVITY) - weight_energy(alone, theta, GRAVITY)
+    where = alone.xy(places, theta[None])[0]
     assert potential == pytest.approx(-np.sum(masses * (where @ GRAVITY)), rel=1e-9)
     slope = [
         (weight_energy(laden, theta + way, GRAVITY) - weight_energy(laden, theta - way, GRAVITY)) / (2.0 * step)

@@ -34,16 +34,11 @@ def test_command_says_margins_and_writes_the_simulations(tmp_path: Path) -> None
         "0.2",
         "--delay-ms",
         "60",
-        "--felt",
-        "log",
-        "--force-off-N",
-        "0.01",
     ]
     done = CliRunner().invoke(app, [*command, "-o", str(tmp_path / "out"), "--json"])
     assert done.exit_code == 0, done.output
     said = json.loads(done.stdout)
     assert said["delay_s"] == 0.06
-    assert (said["felt"], said["force_off_N"], said["hidden"]) == ("log", 0.01, False)
     assert said["margins"]["gain"] > 2.0
     assert [one["k_factor"] for one in said["trials"]] == [1.0, 0.8, 1.2]
     with (tmp_path / "out" / "loop.csv").open(encoding="utf-8") as file:

@@ -111,7 +111,6 @@ def test_every_public_verb_is_guarded(face: ModuleType) -> None:
         (onebend.Beam, ["equilibrium"]),
         (OnlineLearner, ["__init__", "update", "settle", "nuisances"]),
         (control.Controller, ["begin", "step", "margins"]),
-        (control.WarmReach, ["__init__", "solve"]),
     ],
 )
 def test_methods_that_solve_are_guarded(kind: type, names: list[str]) -> None:

@@ -22,7 +22,6 @@ from onebend.beam.continuation import let_fall
 from onebend.beam.grid import Grid, solve_each
 from onebend.beam.problem import Problem
 from onebend.beam.statics import correct, is_stable, node_angles
-from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray, IntArray
 
 _SAMPLES = 24  # initial samples of a full turn of the free end
@@ -93,11 +92,7 @@ def stable_equilibria(problem: Problem) -> tuple[Array, IntArray]:
     the free end.
 
     For rope-like beams (`int sqrt(L N / k) ds` above 30) double precision may miss some.
-
-    Raises `MechanicsError`: follower loads.
     """
-    if problem.follower.shape[1]:
-        raise MechanicsError("follower loads are not taken: give dead forces")
     if problem.size == 0:
         return np.zeros((0, problem.to_nodes.shape[-1])), np.zeros(0, dtype=np.int64)
     panels = _panels(problem)

@@ -1,7 +1,7 @@
 """Equilibrium by continuation in the load, directly where all loads push to one side, and falls.
 
 With `gamma = alpha - alpha_rest`, N the force beyond s, phi in (0, pi) its angle with the rest tangent, counted to the
-side to which it pushes, and eps = (1/EA - 1/kGA) N, the balance of dead forces is
+side to which it pushes, and eps = (1/EA - 1/kGA) N, the balance of the forces is
 
     -(k gamma')' = f(s, gamma) = L N sin(phi - gamma) (1 + eps cos(phi - gamma)),   gamma(0) = gamma'(1) = 0.
 
@@ -59,7 +59,7 @@ _FARTHEST_FROM_LINEAR = 1.0  # rad, largest turn from the start to the equilibri
 def on_one_side(problem: Problem) -> tuple[IntArray, Array, Array]:
     """Frames (n,) whose loads all push to one side, phi (n, Q) rad with the sign of that side, L w N (n, Q) N m."""
     pull = np.zeros((0, problem.to_nodes.shape[-2]))
-    if problem.follower.shape[1] or problem.size == 0:
+    if problem.size == 0:
         return np.zeros(0, dtype=np.int64), pull, pull
     rest, (x, y) = node_angles(problem, problem.q0), problem.dead_pull
     cos, sin = np.cos(rest), np.sin(rest)
@@ -113,9 +113,7 @@ def by_load(problem: Problem, q: Array, factor: Array) -> Array:
 
 
 def terms_at_rest(problem: Problem, q: Array, slope: Array) -> tuple[Array, Array]:
-    """Terms of second and third order in the load at no load (dead forces)."""
-    if problem.follower.shape[1]:
-        return np.zeros_like(q), np.zeros_like(q)
+    """Terms of second and third order in the load at no load."""
     plain = problem if problem.compliance is None else replace(problem, section=None, stretch=None, shear=None)
     forces = nodal_forces(plain, q)
     along, across, delta = forces.along, forces.across, problem.strain_lever
@@ -145,13 +143,7 @@ _MOST = 12  # iterations
 
 def in_basis(problem: Problem, basis: MomentBasis) -> Problem:
     """The problem in coefficients of the basis."""
-    return replace(
-        problem,
-        to_nodes=basis.turned,
-        q0=basis.rest,
-        modes=basis.modes,
-        follower_rows=problem.follower_rows @ basis.modes,
-    )
+    return replace(problem, to_nodes=basis.turned, q0=basis.rest, modes=basis.modes)
 
 
 def on_grid(solved: Equilibrium, problem: Problem, basis: MomentBasis) -> Array:
@@ -188,7 +180,7 @@ def settle(problem: Problem, basis: MomentBasis, coefficients: Array) -> tuple[A
     return q, near & (np.max(np.abs(apply(problem.to_nodes, q - begin)), axis=-1) < _NEARBY)
 
 
-# Fall from an unstable shape: `w k q' = -g(q)`, strongly damped. Under dead loads it descends the potential. Steps
+# Fall from an unstable shape: `w k q' = -g(q)`, strongly damped. It descends the potential. Steps
 # `(T + sigma w k) dq = -g` are implicit, with the smallest sigma that keeps the matrix positive, bounded in turn, and
 # must do work. The work `-int g . dq` needs no potential, and is accurate where the potential changes by less than
 # rounding.
@@ -226,7 +218,7 @@ def let_fall(problem: Problem, start: Array, side: Side = "left") -> tuple[Array
         q[todo[falls]] += step[falls]
         reach[todo] = np.where(falls, np.minimum(2.0 * reach[todo], _MAX_TURN), 0.25 * turn)
         given_up[todo] = ~falls & ~(turn > _MIN_TURN)
-        close = todo[(turn < _NEWTON_TURN) & (convex | (problem.follower.shape[1] > 0))]
+        close = todo[(turn < _NEWTON_TURN) & convex]
         landed[close], q[close] = _land(problem.take(close), q[close])
     return q, landed
 
@@ -344,7 +336,7 @@ def equilibrium(
     settings: ContinuationSettings = ContinuationSettings(),
     fall: Side | None = None,
 ) -> Equilibrium:
-    """Shapes under dead loads, on the branch that grows from rest (8).
+    """Shapes under loads, on the branch that grows from rest (8).
 
     Without a `resolution` the grid is refined until it resolves the curvature of the most loaded frames (angles to 1e-9
     rad), or until refinement moves their tips by less than 1e-11 L. Tables of k(s), which are not smooth, stop at
@@ -398,8 +390,7 @@ def _solved(
         found, begin = before, on_grid(before, problem, basis)
     q, near = settle(problem, basis, begin)
     near &= found.stable & np.isnan(found.buckled_at)
-    if problem.follower.shape[1] == 0:
-        near &= is_stable(problem, q)
+    near &= is_stable(problem, q)
     lost = np.flatnonzero(~near)
     if lost.size == 0:
         return replace(found, problem=problem, q=q)
@@ -413,7 +404,7 @@ def _hardest(problem: Problem) -> IntArray | None:
     if problem.size <= _PROBE_FRAMES:
         return None
     size = np.sqrt(np.max(np.sum(problem.dead_force**2, axis=-1), axis=1)) * float(problem.length)
-    size += np.max(np.abs(problem.moment), axis=1) + np.sum(np.abs(problem.follower), axis=(1, 2)) * problem.length
+    size += np.max(np.abs(problem.moment), axis=1)
     return np.sort(np.argsort(size)[-_PROBE_FRAMES:])
 
 

@@ -55,21 +55,16 @@ class Body:
         """(S, n)."""
         return np.asarray(self.grid.integral_to(np.asarray(s, dtype=float)) @ self.curvature)
 
-    def angle(self, s: Array, theta: Array, base_angle: Array | float = 0.0) -> Array:
-        """(T, S) rad for states (T, n), base turned by `base_angle` () or (T,). Equation (3)."""
+    def angle(self, s: Array, theta: Array) -> Array:
+        """(T, S) rad for states (T, n). Equation (3)."""
         rows = self.grid.integral_to(np.asarray(s, dtype=float))
-        turned = np.asarray(base_angle, dtype=float)[..., None]
-        return np.asarray(self.clamp_angle + turned + (self.rest_curvature + theta @ self.curvature.T) @ rows.T)
+        return np.asarray(self.clamp_angle + (self.rest_curvature + theta @ self.curvature.T) @ rows.T)
 
-    def xy(self, s: Array, theta: Array, base: Array | None = None) -> Array:
-        """(T, S, 2) m for states (T, n), base poses (T, 3) of (x, y, turn), default 0. Equation (4)."""
-        pose = np.zeros(3) if base is None else np.asarray(base, dtype=float)
-        alpha = self.rest_angle + pose[..., 2:] + theta @ self.to_angle.T
+    def xy(self, s: Array, theta: Array) -> Array:
+        """(T, S, 2) m for states (T, n). Equation (4)."""
+        alpha = self.rest_angle + theta @ self.to_angle.T
         rows = self.length * self.grid.integral_to(np.asarray(s, dtype=float))
-        return np.stack(
-            [pose[..., 0:1] + np.cos(alpha) @ rows.T, pose[..., 1:2] + np.sin(alpha) @ rows.T],
-            axis=-1,
-        )
+        return np.stack([np.cos(alpha) @ rows.T, np.sin(alpha) @ rows.T], axis=-1)
 
 
 def body(
@@ -157,7 +152,8 @@ def body_of_nodes(
 
 def mass_matrix(of: Body, theta: Array) -> Array:
     """(..., n, n) kg m^2, (7)."""
-    c, s = _directions(of, theta)
+    alpha = of.rest_angle + np.asarray(theta, dtype=float) @ of.to_angle.T
+    c, s = np.cos(alpha), np.sin(alpha)
     across = np.concatenate([c[..., None] * of.to_angle, s[..., None] * of.to_angle], axis=-1)  # (..., Q, 2 n)
     carried = of.carried @ across
     n = of.n
@@ -166,58 +162,13 @@ def mass_matrix(of: Body, theta: Array) -> Array:
     return np.asarray(out + of.to_angle.T @ (of.rotary[:, None] * of.to_angle))
 
 
-def kinetic_energy(
-    of: Body, theta: Array, rate: Array, base: Array | None = None, base_rate: Array | None = None
-) -> Array:
-    """(...,) J for states and rates (..., n), gripper poses and rates (..., 3)."""
-    pose, moving = _pose(base), _pose(base_rate)
-    turning = rate @ of.to_angle.T + moving[..., 2:]
-    c, s = _directions(of, theta, pose[..., 2:])
-    ct, st = c * turning, s * turning
-    carried = np.sum(ct * (ct @ of.carried) + st * (st @ of.carried) + of.rotary * turning**2, axis=-1)
-    with_base = moving[..., 1] * (ct @ of.lever) - moving[..., 0] * (st @ of.lever)
-    return np.asarray(0.5 * carried + with_base + 0.5 * of.mass * np.sum(moving[..., :2] ** 2, axis=-1))
-
-
-def elastic_energy(of: Body, theta: Array) -> Array:
-    """(...,) J: `1/2 int k (q - q0)^2`."""
-    return np.asarray(0.5 * np.sum(theta * (theta @ of.stiffness), axis=-1))
-
-
-def weight_energy(of: Body, theta: Array, gravity: Array, base: Array | None = None) -> Array:
-    """(...,) J under gravity (2,) m/s^2, 0 at the origin; gripper at `base` (..., 3)."""
-    pose = _pose(base)
-    c, s = _directions(of, theta, pose[..., 2:])
-    return np.asarray(-(gravity[0] * c + gravity[1] * s) @ of.lever - of.mass * (pose[..., :2] @ gravity))
-
-
-def momentum(of: Body, theta: Array, rate: Array, base: Array | None = None, base_rate: Array | None = None) -> Array:
-    """(..., n) kg m^2/s: derivative of the kinetic energy by the rate."""
-    pose, moving = _pose(base), _pose(base_rate)
-    turning = rate @ of.to_angle.T + moving[..., 2:]
-    c, s = _directions(of, theta, pose[..., 2:])
-    y = (c * turning) @ of.carried + moving[..., 1:2] * of.lever
-    x = moving[..., 0:1] * of.lever - (s * turning) @ of.carried
-    return np.asarray((c * y - s * x + of.rotary * turning) @ of.to_angle)
-
-
-def _directions(of: Body, theta: Array, turn: Array | float = 0.0) -> tuple[Array, Array]:
-    alpha = of.rest_angle + turn + np.asarray(theta, dtype=float) @ of.to_angle.T
-    return np.cos(alpha), np.sin(alpha)
-
-
-def _pose(given: Array | None) -> Array:
-    return np.zeros(3) if given is None else np.asarray(given, dtype=float)
-
-
 def _refuse(good: BoolArray, name: str, values: Array, nodes: Array, rule: str) -> None:
     if not np.all(good):
         bad = int(np.flatnonzero(~good)[0])
         raise MechanicsError(f"{name} = {values[bad]:.3g} at s = {nodes[bad]:.3f}: {rule}")
 
 
-# Actions on a moving beam, in one fixed frame: the beam's while the gripper's pose is zero. A moving gripper enters
-# through the velocity of every point; add no inertial forces.
+# Actions on a moving beam.
 
 InTime = Callable[[float], ArrayLike]
 
@@ -232,121 +183,45 @@ class AppliedForce:
 
 
 @dataclass(frozen=True)
-class AppliedMoment(AppliedForce):
-    """At a fixed place: a number [N m], or a function of time [s]."""
-
-
-@dataclass(frozen=True)
-class Gripper:
-    """A moving clamp: `pose(t)` = (x [m], y [m], turn [rad]) and its derivative `rate(t)`.
-
-    The turn adds to the clamp angle. The velocity may jump at `breaks`, the pose may not.
-    """
-
-    pose: InTime
-    rate: InTime
-    breaks: tuple[float, ...] = ()
-
-
-@dataclass(frozen=True)
 class Actions:
     forces: tuple[AppliedForce, ...] = ()
-    moments: tuple[AppliedMoment, ...] = ()
     gravity: ArrayLike = (0.0, 0.0)  # m/s^2
-    gripper: Gripper | None = None
 
     def __post_init__(self) -> None:
-        for action in self._loads:
-            if not 0.0 <= action.at_s <= 1.0:
-                raise MechanicsError(f"actions are at s in [0, 1], got s = {action.at_s}")
+        for force in self.forces:
+            if not 0.0 <= force.at_s <= 1.0:
+                raise MechanicsError(f"actions are at s in [0, 1], got s = {force.at_s}")
         if np.shape(self.gravity) != (2,) or not np.all(np.isfinite(np.asarray(self.gravity, dtype=float))):
             raise MechanicsError(f"gravity has two finite components [m/s^2], got {self.gravity}")
 
     @property
-    def _loads(self) -> tuple[AppliedForce, ...]:
-        return (*self.forces, *self.moments)
-
-    @property
     def breaks(self) -> tuple[float, ...]:
-        gripper = self.gripper.breaks if self.gripper is not None else ()
-        return tuple(sorted({*gripper, *(time for action in self._loads for time in action.breaks)}))
+        return tuple(sorted({time for force in self.forces for time in force.breaks}))
 
     @property
     def steady(self) -> bool:
-        return self.gripper is None and not any(callable(action.value) for action in self._loads)
+        return not any(callable(force.value) for force in self.forces)
 
 
-@dataclass(frozen=True)
-class TabulatedActions:
-    """At R times."""
+def acting(on: Body, actions: Actions, times: Array) -> Array:
+    """(2, Q, R) N m at `times` (R,) s: x and y of the pull beyond each node with weight, times its lever.
 
-    pull: Array  # (2, Q, R) N m: pull beyond each node with weight, times its lever; x and y
-    forced: Array  # (2, Q, R) N m: the same of forces alone
-    force: Array  # (R, 2) N: sum of the forces
-    couple: Array  # (n, R) N m: of the moments
-    moment: Array  # (R,) N m: sum of the moments
-    base: Array  # (R, 3) m, m, rad
-    base_rate: Array  # (R, 3)
-
-
-def acting(on: Body, actions: Actions, times: Array) -> TabulatedActions:
-    """At `times` (R,) s. Raises `MechanicsError` for values that are not finite."""
-    count = len(times)
-    weight = np.multiply.outer(np.asarray(actions.gravity, dtype=float), np.outer(on.lever, np.ones(count)))
-    forced, total = np.zeros_like(weight), np.zeros((count, 2))
-    for force in actions.forces:
-        values = _values(force.value, times, 2, "a force")
-        lever = on.length * on.grid.integral_to(np.array([force.at_s]))[0]
-        forced += np.multiply.outer(lever, values).transpose(2, 0, 1)
-        total += values
-    couple, moment = np.zeros((on.n, count)), np.zeros(count)
-    for twist in actions.moments:
-        about_z = _values(twist.value, times, 1, "a moment")[:, 0]
-        couple += on.to_places(np.array([twist.at_s]))[0][:, None] * about_z
-        moment += about_z
-    base = base_rate = np.zeros((count, 3))
-    if actions.gripper is not None:
-        base = _values(actions.gripper.pose, times, 3, "the gripper's pose")
-        base_rate = _values(actions.gripper.rate, times, 3, "the gripper's rate")
-    return TabulatedActions(weight + forced, forced, total, couple, moment, base, base_rate)
-
-
-def power(on: Body, theta: Array, rate: Array, now: TabulatedActions) -> Array:
-    """(R,) W: of forces and moments at states and rates (n, R), with the gripper's motion."""
-    turn, spin = now.base[:, 2], now.base_rate[:, 2]
-    alpha = on.rest_angle[:, None] + turn + on.to_angle @ theta
-    turning = on.to_angle @ rate + spin
-    along = np.sum(turning * (np.cos(alpha) * now.forced[1] - np.sin(alpha) * now.forced[0]), axis=0)
-    carried = np.sum(now.force * now.base_rate[:, :2], axis=1) + now.moment * spin
-    return np.asarray(along + carried + np.sum(now.couple * rate, axis=0))
-
-
-def check_gripper(gripper: Gripper, first: float, last: float, step: float) -> None:
-    """Compares the gripper's rate with differences of its pose.
-
-    Raises `MechanicsError`: they differ by more than steps of `step` s can follow.
+    Raises `MechanicsError`: forces that are not finite.
     """
-    times = first + (last - first) * np.array([0.07, 0.23, 0.41, 0.59, 0.77, 0.93])
-    near = 0.01 * min(step, last - first)
-    before, after = (_values(gripper.pose, times + d, 3, "the gripper's pose") for d in (-near, near))
-    moves, said = (after - before) / (2.0 * near), _values(gripper.rate, times, 3, "the gripper's rate")
-    allowed = 1e-3 * np.max(np.abs(moves)) + 1e-12 * (1.0 + np.max(np.abs(after))) / near
-    wrong = np.max(np.abs(moves - said), axis=1) > allowed
-    if np.any(wrong):
-        i = int(np.flatnonzero(wrong)[0])
-        raise MechanicsError(
-            f"the gripper's rate is not the derivative of its pose: at t = {times[i]:.6g} s it moves by "
-            f"{np.array2string(moves[i], precision=4)} a second, and rate says {np.array2string(said[i], precision=4)}"
-        )
+    pull = np.multiply.outer(np.asarray(actions.gravity, dtype=float), np.outer(on.lever, np.ones(len(times))))
+    for force in actions.forces:
+        lever = on.length * on.grid.integral_to(np.array([force.at_s]))[0]
+        pull += np.multiply.outer(lever, _values(force.value, times)).transpose(2, 0, 1)
+    return np.asarray(pull)
 
 
-def _values(value: ArrayLike | InTime, times: Array, size: int, name: str) -> Array:
+def _values(value: ArrayLike | InTime, times: Array) -> Array:
     raw = [value(float(t)) for t in times] if callable(value) else [value] * len(times)
     try:
-        out = np.asarray(raw, dtype=float).reshape(len(times), size)
+        out = np.asarray(raw, dtype=float).reshape(len(times), 2)
     except (TypeError, ValueError) as error:
-        raise MechanicsError(f"{name} must be {size} number(s) at every time: {error}") from error
+        raise MechanicsError(f"a force must be 2 numbers at every time: {error}") from error
     if not np.all(np.isfinite(out)):
         bad = times[np.flatnonzero(~np.all(np.isfinite(out), axis=1))[0]]
-        raise MechanicsError(f"{name} is not finite at t = {bad:.6g} s")
+        raise MechanicsError(f"a force is not finite at t = {bad:.6g} s")
     return out

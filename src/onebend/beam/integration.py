@@ -18,18 +18,11 @@ from scipy.linalg.lapack import dgetrf, dgetrs
 from onebend.beam.dynamics import (
     Actions,
     Body,
-    TabulatedActions,
     acting,
-    check_gripper,
-    elastic_energy,
-    kinetic_energy,
     mass_matrix,
-    momentum,
-    power,
-    weight_energy,
 )
 from onebend.errors import MechanicsError
-from onebend.progress import Progress, Silent, one_blas_thread
+from onebend.progress import one_blas_thread
 from onebend.records import Array
 
 # Collocation. A step of length h seeks stage velocities V_j at t + c_j h with the momenta
@@ -81,9 +74,9 @@ def tableau(method: Method) -> Tableau:
 # One step: simplified Newton on the stage velocities V (n, s). With X, Y the momentum carried by each node, generalised
 # momentum and force follow from the Lagrangian without B, C or accelerations:
 #
-#     Y = H (cos alpha o alpha') + lever y_b',   X = -H (sin alpha o alpha') + lever x_b'
+#     Y = H (cos alpha o alpha'),   X = -H (sin alpha o alpha')
 #     p = A^T (pi + D alpha'),                   pi = cos alpha Y - sin alpha X
-#     f = A^T tau - K theta - D_theta theta' + a M,
+#     f = A^T tau - K theta - D_theta theta',
 #     tau = -alpha' (cos alpha X + sin alpha Y) + cos alpha N_y - sin alpha N_x
 #
 # The iteration matrix is the exact derivative at the mean stage, kept over steps while it serves. This is the hot loop,
@@ -105,7 +98,6 @@ class Step:
     theta: Array  # (n,) at the end
     momentum: Array  # (n,) kg m^2/s at the end
     velocity: Array  # (n, s) at the stages
-    stage_theta: Array  # (n, s)
     iterations: int
 
 
@@ -127,11 +119,11 @@ class Stepper:
         self._weights = np.empty((4, q))
         self._mass = np.empty((n, n))
         self._factor: tuple[Array, Array] | None = None
-        self._now: TabulatedActions | None = None
+        self._now: Array | None = None
         self._prepare(q, s)
 
-    def advance(self, theta: Array, momentum: Array, guess: Array, now: TabulatedActions, time: float) -> Step:
-        """One step under the actions at the stages; `guess` (n, s) of the stage velocities.
+    def advance(self, theta: Array, momentum: Array, guess: Array, now: Array, time: float) -> Step:
+        """One step under the pull at the stages (see `acting`); `guess` (n, s) of the stage velocities.
 
         Raises `StepError`: stage equations not solved.
         """
@@ -155,7 +147,6 @@ class Stepper:
                     theta + stage @ self.numbers.to_end,
                     momentum + (self._stage_momentum() - momentum[:, None]) @ self.numbers.to_end,
                     velocity,
-                    theta[:, None] + stage,
                     count,
                 )
             if not np.all(np.isfinite(velocity)):
@@ -177,25 +168,16 @@ class Stepper:
         self._first, self._second = self._parts[:, :s], self._parts[:, s:]
         self._pi, self._tau, self._other = np.empty((q, s)), np.empty((q, s)), np.empty((q, s))
 
-    def _take(self, now: TabulatedActions) -> None:
+    def _take(self, now: Array) -> None:
         self._now = now
-        self._pull = now.pull if np.any(now.pull) else None
-        moves = np.any(now.base_rate) or np.any(now.base)
-        self._spin = np.tile(now.base_rate[:, 2], 2) if moves else None
-        self._base_momentum = self.body.lever[:, None] * np.hstack([now.base_rate[:, 1], -now.base_rate[:, 0]])
-        self._mean_turn, self._mean_rate = float(now.base[:, 2] @ self._mean), now.base_rate.T @ self._mean
-        self._mean_pull = now.pull @ self._mean
-        self._spun = np.outer(self.body.rotary @ self._angle, now.base_rate[:, 2])
+        self._pull = now if np.any(now) else None
+        self._mean_pull = now @ self._mean
 
     def _begin(self, theta: Array, momentum: Array) -> None:
         """Angles at the start, and the constant part of the residual."""
-        now = self._now
-        assert now is not None
         self._start_angle = (self.body.rest_angle + self._angle @ theta)[:, None]
-        if self._spin is not None:
-            self._start_angle = self._start_angle + now.base[:, 2]
-        constant = (self.body.stiffness @ theta)[:, None] - now.couple
-        self._constant = (constant @ self._to_stage - momentum[:, None] + self._spun).ravel()
+        constant = np.outer(self.body.stiffness @ theta, self._to_stage.sum(axis=0))
+        self._constant = (constant - momentum[:, None]).ravel()
 
     def _iterate(self, theta: Array, velocity: Array) -> tuple[bool, int, bool]:
         """Newton in place on `velocity`: solved, count, slow."""
@@ -225,14 +207,10 @@ class Stepper:
         np.dot(self._angle, np.dot(velocity, self._spread), out=self._turned)
         alpha, moving, carried = self._alpha, self._moving, self._carried
         alpha += self._start_angle
-        if self._spin is not None:
-            self._twice += self._spin
         np.cos(alpha, out=self._cos)
         np.sin(alpha, out=self._sin)
         np.multiply(self._directions, self._twice, out=moving)
         np.dot(self.body.carried, moving, out=carried)
-        if self._spin is not None:
-            carried += self._base_momentum
         np.multiply(self._directions, carried, out=self._parts)
         np.add(self._first, self._second, out=self._pi)
         np.multiply(self._cos_moving, self._x, out=self._tau)
@@ -256,9 +234,9 @@ class Stepper:
     def _renew(self, theta: Array, velocity: Array) -> None:
         """Factors the derivative of the stage equations at the mean stage."""
         body, n = self.body, self.body.n
-        rate, pull = self._mean_rate, self._mean_pull
-        alpha = body.rest_angle + self._mean_turn + np.dot(self._angle, theta + np.dot(velocity, self._mean_stage))
-        turning = np.dot(self._angle, np.dot(velocity, self._mean)) + rate[2]
+        pull = self._mean_pull
+        alpha = body.rest_angle + np.dot(self._angle, theta + np.dot(velocity, self._mean_stage))
+        turning = np.dot(self._angle, np.dot(velocity, self._mean))
         weights, cos, sin = self._weights, self._weights[0], self._weights[1]
         np.cos(alpha, out=cos)
         np.sin(alpha, out=sin)
@@ -268,8 +246,7 @@ class Stepper:
         self._mass = gram[0, :, 0] + gram[1, :, 1] + self._rotary
         swirl = gram[0, :, 3] - gram[1, :, 2]
         momenta = np.dot(weights[2:], body.carried)
-        y, x = momenta[0] + body.lever * rate[1], body.lever * rate[0] - momenta[1]
-        along = turning * (cos * y - sin * x) + cos * pull[0] + sin * pull[1]
+        along = turning * (cos * momenta[0] + sin * momenta[1]) + cos * pull[0] + sin * pull[1]
         slope = gram[2, :, 2] + gram[3, :, 3] - np.dot(self._products, along).reshape(n, n)
         matrix = self._coupled(self._mass, body.damping + swirl.T - swirl, body.stiffness - slope)
         lu, pivots, info = dgetrf(matrix)
@@ -296,42 +273,29 @@ class MotionState:
 class IntegrationSettings:
     method: Method = field(default_factory=Method)
     tolerance: float = 1e-10  # of stage velocities, relative to the largest
-    every: int = 1  # keep every so many steps, and the last
     max_steps: int = 1_000_000
-    progress: Progress = field(default_factory=Silent)
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion at T times; energies in the fixed frame."""
+    """A motion at T times."""
 
     body: Body
     time: Array  # (T,) s
     theta: Array  # (T, n) rad
     rate: Array  # (T, n) rad/s
-    base: Array  # (T, 3) m, m, rad
-    kinetic: Array  # (T,) J
-    elastic: Array  # (T,) J
-    weight: Array  # (T,) J, potential of gravity
-    work: Array  # (T,) J of forces and moments since the start
-    loss: Array  # (T,) J of damping since the start
     step: float  # s, longest step
     steps: int
     iterations: int  # of Newton's method, in total
     error: float  # m, of the markers by `converged`; else NaN
 
-    @property
-    def energy(self) -> Array:
-        """(T,) J."""
-        return self.kinetic + self.elastic + self.weight
-
     def xy(self, s: ArrayLike) -> Array:
         """(T, S, 2) m at `s` (S,)."""
-        return self.body.xy(np.atleast_1d(np.asarray(s, dtype=float)), self.theta, self.base)
+        return self.body.xy(np.atleast_1d(np.asarray(s, dtype=float)), self.theta)
 
     def angle(self, s: ArrayLike) -> Array:
         """(T, S) rad at `s` (S,)."""
-        return self.body.angle(np.atleast_1d(np.asarray(s, dtype=float)), self.theta, self.base[:, 2])
+        return self.body.angle(np.atleast_1d(np.asarray(s, dtype=float)), self.theta)
 
     def states_at(self, time: ArrayLike) -> Array:
         """(R, n) by cubic interpolation (fourth order in the spacing).
@@ -376,7 +340,7 @@ def converged(
     settings: IntegrationSettings = IntegrationSettings(),
     halvings: int = 10,
 ) -> Motion:
-    """Motion whose markers at `at_s` are accurate to `tolerance` m, by halving the step.
+    """Motion whose markers at `at_s` are accurate to `tolerance` m, by halving the step; at the times of the first.
 
     `Motion.error` is twice the largest change between the last two runs. It is not divided by 2^order - 1, because
     unresolved parts are equally wrong in both.
@@ -384,16 +348,15 @@ def converged(
     Raises `MechanicsError`: as `simulate`, or the tolerance was not met after `halvings`.
     """
     stretches = _stretches(body, start, duration, step, actions, settings.max_steps)
-    places, change, running = np.atleast_1d(np.asarray(at_s, dtype=float)), np.inf, replace(settings, every=1)
-    coarse = _attempt(body, start, stretches, actions, running)
-    for _ in range(halvings):
+    places, change = np.atleast_1d(np.asarray(at_s, dtype=float)), np.inf
+    coarse = _attempt(body, start, stretches, actions, settings, every=1)
+    for i in range(halvings):
         stretches = [replace(stretch, count=2 * stretch.count) for stretch in stretches]
-        running = replace(running, every=2 * running.every)
-        fine = _attempt(body, start, stretches, actions, running)
+        fine = _attempt(body, start, stretches, actions, settings, every=2 ** (i + 1))
         if coarse is not None and fine is not None:
             change = float(np.max(np.linalg.norm(fine.xy(places) - coarse.xy(places), axis=-1)))
             if 2.0 * change < tolerance:
-                return _thinned(replace(fine, error=2.0 * change), settings.every)
+                return replace(fine, error=2.0 * change)
         coarse = fine
     raise MechanicsError(
         f"markers still change by {change:.3g} m when the step is halved to {step / 2**halvings:.3g} s; "
@@ -422,59 +385,49 @@ def _stretches(
 
 
 def _attempt(
-    body: Body, start: MotionState, stretches: list[_Stretch], actions: Actions, settings: IntegrationSettings
+    body: Body,
+    start: MotionState,
+    stretches: list[_Stretch],
+    actions: Actions,
+    settings: IntegrationSettings,
+    *,
+    every: int,
 ) -> Motion | None:
-    """The motion; None if these steps are too long."""
+    """The motion at every so many steps; None if these are too long."""
     if sum(stretch.count for stretch in stretches) > settings.max_steps:
         raise MechanicsError(f"the tolerance is not met with the {settings.max_steps} steps allowed")
     try:
-        return _follow(body, start, stretches, actions, settings)
+        found = _follow(body, start, stretches, actions, settings)
     except StepError:
         return None
-
-
-def _thinned(motion: Motion, every: int) -> Motion:
-    count = len(motion.time)
-    kept = np.unique(np.append(np.arange(0, count, every), count - 1))
-    names = ("time", "theta", "rate", "base", "kinetic", "elastic", "weight", "work", "loss")
-    return replace(motion, **{name: getattr(motion, name)[kept] for name in names})
+    return replace(found, time=found.time[::every], theta=found.theta[::every], rate=found.rate[::every])
 
 
 def _follow(
     body: Body, start: MotionState, stretches: list[_Stretch], actions: Actions, settings: IntegrationSettings
 ) -> Motion:
+    theta = np.asarray(start.theta, dtype=float)
+    momentum = mass_matrix(body, theta) @ np.asarray(start.rate, dtype=float)
+    rows, iterations, numbers = [(start.time, theta, momentum)], 0, tableau(settings.method)
     for stretch in stretches:
-        if actions.gripper is not None:
-            check_gripper(actions.gripper, stretch.first, stretch.last, stretch.step)
-    ledger = _Ledger(body, start, actions)
-    numbers = tableau(settings.method)
-    settings.progress.start("motion", sum(stretch.count for stretch in stretches))
-    try:
-        for stretch in stretches:
-            _run(ledger, stretch, numbers, actions, settings)
-    finally:
-        settings.progress.done()
-    return ledger.motion(max(stretch.step for stretch in stretches))
-
-
-def _run(ledger: _Ledger, stretch: _Stretch, numbers: Tableau, actions: Actions, settings: IntegrationSettings) -> None:
-    body, h = ledger.body, stretch.step
-    stepper = Stepper(body, numbers, h, tolerance=settings.tolerance)
-    inside = h * np.minimum(numbers.c, 1.0 - 1e-12)  # a stage at the end still belongs to this side of a jump
-    now = acting(body, actions, stretch.first + inside)
-    guess = np.repeat(ledger.rate_after(stretch.first, h)[:, None], len(inside), axis=1)
-    theta, momentum = ledger.theta, ledger.momentum
-    for i in range(stretch.count):
-        begin = stretch.first + i * h
-        if i and not actions.steady:
-            now = acting(body, actions, begin + inside)
-        taken = stepper.advance(theta, momentum, guess, now, begin)
-        theta, momentum = taken.theta, taken.momentum
-        guess = taken.velocity @ numbers.ahead.T
-        ledger.add(taken, now, h * numbers.b)
-        if (i + 1) % settings.every == 0 or i + 1 == stretch.count:
-            ledger.keep(stretch.last if i + 1 == stretch.count else begin + h)
-        settings.progress.advance()
+        h = stretch.step
+        stepper = Stepper(body, numbers, h, tolerance=settings.tolerance)
+        inside = h * np.minimum(numbers.c, 1.0 - 1e-12)  # a stage at the end still belongs to this side of a jump
+        now = acting(body, actions, stretch.first + inside)
+        guess = np.repeat(_rates(body, theta[None], momentum[None]).T, len(inside), axis=1)
+        for i in range(stretch.count):
+            begin = stretch.first + i * h
+            if i and not actions.steady:
+                now = acting(body, actions, begin + inside)
+            taken = stepper.advance(theta, momentum, guess, now, begin)
+            theta, momentum, guess = taken.theta, taken.momentum, taken.velocity @ numbers.ahead.T
+            iterations += taken.iterations
+            rows.append((stretch.last if i + 1 == stretch.count else begin + h, theta, momentum))
+    time, thetas, momenta = (np.array(column, dtype=float) for column in zip(*rows, strict=True))
+    parts = [slice(i, i + 500) for i in range(0, len(time), 500)]  # 500 matrices fit the cache
+    rate = np.concatenate([_rates(body, thetas[part], momenta[part]) for part in parts])
+    longest = max(stretch.step for stretch in stretches)
+    return Motion(body, time, thetas, rate, longest, len(rows) - 1, iterations, np.nan)
 
 
 @dataclass(frozen=True)
@@ -488,62 +441,6 @@ class _Stretch:
         return (self.last - self.first) / self.count
 
 
-class _Ledger:
-    """Steps taken so far, inside `simulate`."""
-
-    def __init__(self, body: Body, start: MotionState, actions: Actions) -> None:
-        now = acting(body, actions, np.array([start.time]))
-        self.body, self.actions = body, actions
-        self.theta = np.asarray(start.theta, dtype=float)
-        self.momentum = momentum(body, self.theta, np.asarray(start.rate, dtype=float), now.base[0], now.base_rate[0])
-        self.work, self.loss, self.steps, self.iterations = 0.0, 0.0, 0, 0
-        self._forced = bool(actions.forces or actions.moments)
-        self._damped = bool(np.any(body.damping))
-        self._rows: list[tuple[float, Array, Array, float, float]] = []
-        self.keep(start.time)
-
-    def rate_after(self, time: float, h: float) -> Array:
-        """(n,) rate just after `time`, where the gripper's velocity may jump."""
-        now = acting(self.body, self.actions, np.array([time + 1e-9 * h]))
-        return np.asarray(_rates(self.body, self.theta[None], self.momentum[None], now.base, now.base_rate)[0])
-
-    def add(self, taken: Step, now: TabulatedActions, weights: Array) -> None:
-        """Adds a step; work and loss by the method's quadrature."""
-        self.theta, self.momentum = taken.theta, taken.momentum
-        self.steps += 1
-        self.iterations += taken.iterations
-        if self._forced:
-            self.work += float(power(self.body, taken.stage_theta, taken.velocity, now) @ weights)
-        if self._damped:
-            self.loss += float(np.sum(taken.velocity * (self.body.damping @ taken.velocity), axis=0) @ weights)
-
-    def keep(self, time: float) -> None:
-        self._rows.append((time, self.theta, self.momentum, self.work, self.loss))
-
-    def motion(self, longest: float) -> Motion:
-        time, theta, momenta, work, loss = (np.array(column, dtype=float) for column in zip(*self._rows, strict=True))
-        now = acting(self.body, self.actions, time)
-        parts = [slice(i, i + 500) for i in range(0, len(time), 500)]  # 500 matrices fit the cache
-        rate = np.concatenate([_rates(self.body, theta[p], momenta[p], now.base[p], now.base_rate[p]) for p in parts])
-        return Motion(
-            body=self.body,
-            time=time,
-            theta=theta,
-            rate=rate,
-            base=now.base,
-            kinetic=kinetic_energy(self.body, theta, rate, now.base, now.base_rate),
-            elastic=elastic_energy(self.body, theta),
-            weight=weight_energy(self.body, theta, np.asarray(self.actions.gravity, dtype=float), now.base),
-            work=work,
-            loss=loss,
-            step=longest,
-            steps=self.steps,
-            iterations=self.iterations,
-            error=np.nan,
-        )
-
-
-def _rates(body: Body, theta: Array, momenta: Array, base: Array, base_rate: Array) -> Array:
-    """(T, n) rates for momenta (T, n) and gripper poses and rates (T, 3)."""
-    own = momenta - momentum(body, theta, np.zeros_like(theta), base, base_rate)
-    return np.asarray(np.linalg.solve(mass_matrix(body, theta), own[..., None])[..., 0])
+def _rates(body: Body, theta: Array, momenta: Array) -> Array:
+    """(T, n) rates for momenta (T, n)."""
+    return np.asarray(np.linalg.solve(mass_matrix(body, theta), momenta[..., None])[..., 0])

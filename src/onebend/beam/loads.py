@@ -1,7 +1,7 @@
-"""Loads on a beam, batched over frames: point forces and moments at any s, follower forces, and weight.
+"""Loads on a beam, batched over frames: point forces and moments at any s, and weight.
 
-A dead force keeps its direction in the beam's frame; a follower force turns with the tangent at its place. Make loads
-with `push`, `twist`, `follow_push` and `weight`, and add them with `+`. Forces act ON the beam.
+Forces keep their direction in the beam's frame. Make loads with `push`, `twist` and `weight`, and add them with `+`.
+Forces act ON the beam.
 """
 
 from __future__ import annotations
@@ -24,9 +24,6 @@ class Loads:
     force_s: Array = field(default_factory=partial(np.zeros, (1, 0)))  # (T, a)
     moment: Array = field(default_factory=partial(np.zeros, (1, 0)))  # (T, b) N m about z
     moment_s: Array = field(default_factory=partial(np.zeros, (1, 0)))  # (T, b)
-    # (T, c, 2) N: along the tangent and to its left
-    follower: Array = field(default_factory=partial(np.zeros, (1, 0, 2)))
-    follower_s: Array = field(default_factory=partial(np.zeros, (1, 0)))  # (T, c)
     gravity: Array = field(default_factory=partial(np.zeros, (1, 2)))  # (T, 2) m/s^2 in the beam's frame
 
     def __post_init__(self) -> None:
@@ -47,10 +44,9 @@ class Loads:
 
     @cached_property
     def places(self) -> Array:
-        """(T, a + b + c) places of all loads."""
+        """(T, a + b) places of all loads."""
         full = self.spread(self.size)
-        some = [places for places in (full.force_s, full.moment_s, full.follower_s) if places.shape[1]]
-        return some[0] if len(some) == 1 else np.concatenate([full.force_s[:, :0], *some], axis=1)
+        return np.concatenate([full.force_s, full.moment_s], axis=1)
 
     def __add__(self, other: Loads) -> Loads:
         size = max(self.size, other.size)
@@ -80,15 +76,12 @@ class Loads:
 
 
 def push(force: ArrayLike, at_s: ArrayLike = 1.0) -> Loads:
-    """A dead point force: (2,) or (T, 2) N at `at_s`, a number or (T,)."""
-    f, s = _point_force(force, at_s)
-    return Loads(force=f, force_s=s)
-
-
-def follow_push(force: ArrayLike, at_s: ArrayLike = 1.0) -> Loads:
-    """A follower force: (2,) or (T, 2) N along the tangent at its place and to its left."""
-    f, s = _point_force(force, at_s)
-    return Loads(follower=f, follower_s=s)
+    """A point force: (2,) or (T, 2) N at `at_s`, a number or (T,)."""
+    f = np.atleast_2d(np.asarray(force, dtype=float))
+    if f.shape[-1] != 2 or f.ndim != 2:
+        raise MechanicsError(f"a force has two components, got an array of shape {np.shape(force)}")
+    s = np.broadcast_to(np.asarray(at_s, dtype=float), f.shape[:1])
+    return Loads(force=f[:, None, :], force_s=s[:, None])
 
 
 def twist(moment: ArrayLike, at_s: ArrayLike = 1.0) -> Loads:
@@ -101,11 +94,3 @@ def twist(moment: ArrayLike, at_s: ArrayLike = 1.0) -> Loads:
 def weight(gravity: ArrayLike) -> Loads:
     """The beam's weight under gravity (2,) or (T, 2) m/s^2 in the beam's frame."""
     return Loads(gravity=np.atleast_2d(np.asarray(gravity, dtype=float)))
-
-
-def _point_force(force: ArrayLike, at_s: ArrayLike) -> tuple[Array, Array]:
-    f = np.atleast_2d(np.asarray(force, dtype=float))
-    if f.shape[-1] != 2 or f.ndim != 2:
-        raise MechanicsError(f"a force has two components, got an array of shape {np.shape(force)}")
-    s = np.broadcast_to(np.asarray(at_s, dtype=float), f.shape[:1])
-    return f[:, None, :], s[:, None]

@@ -179,23 +179,12 @@ def check_positive(k: Array, nodes: Array) -> None:
         )
 
 
-def loads_at_nodes(grid: Grid, nodes: Array, loads: Loads, mass_beyond: Array) -> dict[str, Array]:
+def loads_at_nodes(nodes: Array, loads: Loads, mass_beyond: Array) -> dict[str, Array]:
     """Entries of a `Problem` for the loads of T frames; `mass_beyond` (Q,) or (T, Q) kg."""
-    size, frames = loads.size, nodes.shape[-1]
     dead = transposed(_beyond(nodes, loads.force_s)) @ loads.force
     if np.any(loads.gravity != 0.0):
         dead = dead + mass_beyond[..., None] * loads.gravity[:, None, :]
-    moment = np.zeros((size, frames))
-    if loads.moment.shape[1]:
-        moment = np.einsum("tb,tbq->tq", loads.moment, _beyond(nodes, loads.moment_s))
-    follows = loads.follower.shape[1] > 0
-    return {
-        "dead_force": dead,
-        "moment": moment,
-        "follower": loads.follower,
-        "follower_beyond": _beyond(nodes, loads.follower_s) if follows else np.zeros((size, 0, frames)),
-        "follower_rows": grid.integral_to(loads.follower_s) if follows else np.zeros((size, 0, frames)),
-    }
+    return {"dead_force": dead, "moment": np.einsum("tb,tbq->tq", loads.moment, _beyond(nodes, loads.moment_s))}
 
 
 def _beyond(nodes: Array, places: Array) -> Array:
@@ -285,9 +274,6 @@ class Problem:
     alpha0: Array  # () or (T, 1) rad
     dead_force: Array  # (T, Q, 2) N: all dead forces beyond the node
     moment: Array  # (T, Q) N m: all point moments beyond the node
-    follower: Array  # (T, c, 2) N, in the tangent's frame
-    follower_beyond: Array  # (T, c, Q): 1 where the follower acts beyond the node
-    follower_rows: Array  # (T, c, Q): angle at the follower's place
     section: RectangularSection | None = None
     stretch: Array | None = None  # (Q,) or (T, Q) 1/N: 1/EA without a section
     shear: Array | None = None  # (Q,) or (T, Q) 1/N: 1/kGA without a section
@@ -344,18 +330,7 @@ class Problem:
 
     def under(self, dead_force: Array, q0: Array, alpha0: Array) -> Problem:
         """The beams under dead forces (T, Q, 2) N alone, with this rest curvature and clamp angle."""
-        size, nodes = dead_force.shape[:2]
-        none = np.zeros((size, 0, nodes))
-        return replace(
-            self,
-            q0=q0,
-            alpha0=alpha0,
-            dead_force=dead_force,
-            moment=np.zeros((size, nodes)),
-            follower=none[..., :2],
-            follower_beyond=none,
-            follower_rows=none,
-        )
+        return replace(self, q0=q0, alpha0=alpha0, dead_force=dead_force, moment=np.zeros(dead_force.shape[:2]))
 
     def strained(self, share: Array) -> Problem:
         """With 1/EA and 1/kGA times `share` (T,)."""
@@ -367,12 +342,7 @@ class Problem:
     def loaded(self, factor: Array) -> Problem:
         """With all loads times `factor` (T,)."""
         f = factor[:, None]
-        return replace(
-            self,
-            dead_force=f[..., None] * self.dead_force,
-            moment=f * self.moment,
-            follower=f[..., None] * self.follower,
-        )
+        return replace(self, dead_force=f[..., None] * self.dead_force, moment=f * self.moment)
 
     def take(self, chosen: IntArray | BoolArray) -> Problem:
 
@@ -389,9 +359,6 @@ class Problem:
             alpha0=pick(self.alpha0, 0),
             dead_force=self.dead_force[chosen],
             moment=self.moment[chosen],
-            follower=self.follower[chosen],
-            follower_beyond=self.follower_beyond[chosen],
-            follower_rows=self.follower_rows[chosen],
             section=None if self.section is None else self.section.take(chosen),
             modes=self.modes,
             stretch=self.stretch if self.stretch is None else pick(self.stretch, 1),
@@ -440,7 +407,7 @@ def make_problem(beam: Rod, loads: Loads, resolution: Resolution = Resolution())
         q0=nodal.q0,
         alpha0=np.asarray(beam.clamp_angle),
         section=beam.section,
-        **loads_at_nodes(nodal.grid, nodal.nodes, loads, nodal.mass_beyond),
+        **loads_at_nodes(nodal.nodes, loads, nodal.mass_beyond),
     )
 
 
@@ -474,7 +441,7 @@ def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = R
         q0=_stack([np.asarray(b.rest_curvature(nodes), dtype=float) for b in beams]),
         alpha0=alpha0,
         section=common_section([beam.section for beam in beams]),
-        **loads_at_nodes(grid, nodes, loads, mass_beyond),
+        **loads_at_nodes(nodes, loads, mass_beyond),
     )
 
 

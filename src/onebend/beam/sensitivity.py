@@ -14,7 +14,7 @@ import numpy as np
 
 from onebend.beam.grid import apply, solve_each, transposed
 from onebend.beam.problem import Problem
-from onebend.beam.statics import Equilibrium, internal_force, strain_by_force, tangent, turned_followers
+from onebend.beam.statics import Equilibrium, tangent
 from onebend.errors import MechanicsError
 from onebend.records import Array, IntArray
 
@@ -153,12 +153,6 @@ def moved_by_strain(solved: Equilibrium, rows: Array, part: Perturbation) -> Arr
     return out
 
 
-def followers_turned(solved: Equilibrium) -> Array:
-    """(T, c, Q, 2) N per rad: internal force by the angle at each follower."""
-    _, turning = turned_followers(solved.problem, solved.q)
-    return np.asarray(turning[:, :, None] * solved.problem.follower_beyond[..., None])
-
-
 def _twisted(solved: Equilibrium, compliance: tuple[tuple[Array, Array], Array]) -> tuple[Array, Array]:
     """(T, Q) and functions: of `w dW/dalpha = L w Q (1 + (1/EA - 1/kGA) N)` by the compliance."""
     (stretch, shear), functions = compliance
@@ -169,12 +163,7 @@ def _twisted(solved: Equilibrium, compliance: tuple[tuple[Array, Array], Array])
 
 def _by_turn(solved: Equilibrium) -> Array:
     """(T, Q, 1): gradient by a common turn."""
-    problem = solved.problem
-    along = solved.forces.along
-    if problem.follower.shape[1]:  # followers turn too
-        force = np.sum(followers_turned(solved), axis=1)[..., None]
-        along = along - (problem.length * problem.weights) * _dot(solved.forces.lever, force)[..., 0]
-    return apply(transposed(problem.to_nodes), along)[..., None]
+    return apply(transposed(solved.problem.to_nodes), solved.forces.along)[..., None]
 
 
 def _dot(way: Array, force: Array) -> Array:
@@ -222,21 +211,6 @@ class Response:
         self._add_strain(out, integral)
         return out
 
-    def clamp_wrench(self) -> Array:
-        """(T, 3, P) N, N, N m per unit: of the clamp's wrench on the beam (dead loads)."""
-        base, along = _at_base(self.solved.problem), self.solved.forces.along
-        out = np.zeros((len(along), 3, len(self.perturbation.clamp)))
-        out[:, 2] = np.sum(along[..., None] * self.alpha, axis=1)
-        for columns, part in self.perturbation.columns:
-            turning = work_by_angle(self.solved, part)
-            if turning is not None:
-                out[:, 2, columns] -= np.sum(turning, axis=1)
-            if part.force is not None:
-                out[:, :2, columns] -= np.einsum("q,tqcp->tcp", base, part.force)
-            if part.moment is not None:
-                out[:, 2, columns] -= np.einsum("q,tqp->tp", base, part.moment)
-        return out
-
     def _ways(self, integral: Array) -> tuple[Array, Array]:
         """(T, S, 2, Q) m: positions by the curvature; (T, S, 2) m: by a common turn. `integral` (S, Q) or (T, S, Q)
         integrates from 0 to the places."""
@@ -245,15 +219,7 @@ class Response:
         ways = self.solved.forces.lever
         turning = np.stack([ways[:, None, :, 0] * rows, ways[:, None, :, 1] * rows], axis=-2)
         b = problem.to_nodes
-        by_q, by_turn = turning @ (b if b.ndim == 2 else b[:, None]), np.sum(turning, axis=-1)
-        if problem.follower.shape[1] and problem.compliance is not None:  # they strain the beam as they turn
-            strained = np.einsum(
-                "tqab,tcqb->tqac", strain_by_force(problem, self.solved.forces), followers_turned(self.solved)
-            )
-            moved = np.einsum("...sq,tqac->tsac" if rows.ndim == 2 else "tsq,tqac->tsac", rows, strained)
-            by_q = by_q + np.einsum("tsac,tcq->tsaq", moved, problem.follower_rows)
-            by_turn = by_turn + np.sum(moved, axis=-1)
-        return by_q, by_turn
+        return turning @ (b if b.ndim == 2 else b[:, None]), np.sum(turning, axis=-1)
 
     def _derivative_of(self, rows: Array, turned: Array) -> Array:
         """(T, ..., P) of quantities with derivatives `rows` (T, ..., Q) by curvature and `turned` (T, ...) by the
@@ -338,26 +304,7 @@ def of_mass(problem: Problem, functions: Array, gravity: Array) -> Perturbation:
     return Perturbation(beyond[..., None, :] * gravity[:, None, :, None], None, None, np.zeros(functions.shape[-1]))
 
 
-def clamp_wrench(solved: Equilibrium) -> Array:
-    """(T, 3) N, N, N m: wrench of the clamp on the beam."""
-    problem, base = solved.problem, _at_base(solved.problem)
-    n = internal_force(problem, solved.q)
-    moment = np.sum(solved.forces.across, axis=-1) + problem.moment @ base
-    return -np.concatenate([np.einsum("q,tqc->tc", base, n), moment[:, None]], axis=1)
-
-
 def _beyond(problem: Problem, at_s: Array) -> Array:
     """(T or 1, Q): 1 where `at_s` lies beyond the node. Exact with a grid edge at `at_s`."""
     places = np.atleast_1d(np.asarray(at_s, dtype=float))[:, None]
     return np.asarray(problem.grid.nodes < places, dtype=float)
-
-
-def _at_base(problem: Problem) -> Array:
-    """(Q,) row that extrapolates the first panel's polynomial to s = 0."""
-    order = problem.grid.order
-    x, w = np.polynomial.legendre.leggauss(order)
-    degree = np.arange(order)
-    values = (degree + 0.5) * (-1.0) ** degree
-    row = np.zeros(problem.to_nodes.shape[-1])
-    row[:order] = (values @ np.polynomial.legendre.legvander(x, order - 1).T) * w
-    return row

@@ -50,22 +50,9 @@ def node_angles(problem: Problem, q: Array) -> Array:
     return problem.alpha0 + apply(problem.to_nodes, q)
 
 
-def internal_force(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Array:
-    """(T, Q, 2) N: the sum of all forces beyond each node, followers in their present direction."""
-    factor = np.asarray(load_factor, dtype=float)[..., None, None]
-    if problem.follower.shape[1] == 0:
-        return np.asarray(factor * problem.dead_force)
-    turned, _ = turned_followers(problem, q)
-    return np.asarray(factor * (problem.dead_force + np.einsum("tcd,tcq->tqd", turned, problem.follower_beyond)))
-
-
-def turned_followers(problem: Problem, q: Array) -> tuple[Array, Array]:
-    """(T, c, 2) N followers in the beam's frame, and their derivative by the angle."""
-    angle = problem.alpha0 + np.einsum("tcq,tq->tc", problem.follower_rows, q)
-    cos, sin = np.cos(angle), np.sin(angle)
-    f = problem.follower
-    turned = np.stack([cos * f[..., 0] - sin * f[..., 1], sin * f[..., 0] + cos * f[..., 1]], axis=-1)
-    return turned, np.stack([-turned[..., 1], turned[..., 0]], axis=-1)
+def internal_force(problem: Problem, load_factor: Array | float = 1.0) -> Array:
+    """(T, Q, 2) N: the sum of all forces beyond each node."""
+    return np.asarray(np.asarray(load_factor, dtype=float)[..., None, None] * problem.dead_force)
 
 
 def nodal_forces(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> NodalForces:
@@ -73,10 +60,6 @@ def nodal_forces(problem: Problem, q: Array, load_factor: Array | float = 1.0) -
     cos, sin = np.cos(alpha), np.sin(alpha)
     factor = np.asarray(load_factor, dtype=float)[..., None]
     x, y = problem.dead_pull
-    if problem.follower.shape[1]:
-        turned, _ = turned_followers(problem, q)
-        lw = problem.length * problem.weights
-        x, y = (d + lw * np.einsum("tc,tcq->tq", turned[..., i], problem.follower_beyond) for i, d in enumerate((x, y)))
     along, across = factor * (x * cos + y * sin), factor * (y * cos - x * sin)
     delta = problem.strain_lever
     if delta is None:
@@ -86,7 +69,7 @@ def nodal_forces(problem: Problem, q: Array, load_factor: Array | float = 1.0) -
 
 
 def normal_and_shear(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tuple[Array, Array]:
-    alpha, n = node_angles(problem, q), internal_force(problem, q, load_factor)
+    alpha, n = node_angles(problem, q), internal_force(problem, load_factor)
     cos, sin = np.cos(alpha), np.sin(alpha)
     return n[..., 0] * cos + n[..., 1] * sin, n[..., 1] * cos - n[..., 0] * sin
 
@@ -130,7 +113,7 @@ def strain_by_force(problem: Problem, forces: NodalForces) -> Array:
 #     g = w (k (q - q0) - m) - B^T (w L N . u'),        T = diag(w k) + B^T diag(w L N . u) B,
 #
 # u = (cos alpha, sin alpha), u' = (-sin alpha, cos alpha). Stretch and shear change `L N . u'` and `L N . u` (see
-# above). A follower force has no potential; its part of T is not symmetric.
+# above).
 
 _TABULATED = 300_000
 RESOLVED = 1e-10  # largest share of the last Legendre coefficients
@@ -250,20 +233,9 @@ def gradient(problem: Problem, q: Array, load_factor: Array | float = 1.0, force
 
 
 def tangent(problem: Problem, q: Array, load_factor: Array | float = 1.0, forces: NodalForces | None = None) -> Array:
-    """(T, Q, Q) derivative of `gradient`; symmetric without follower forces."""
+    """(T, Q, Q) derivative of `gradient`, symmetric."""
     forces = forces or nodal_forces(problem, q, load_factor)
-    out = second_variation(problem, forces.along, problem.stiff)
-    if problem.follower.shape[1]:
-        _, turning = turned_followers(problem, q)
-        x, y, cos, sin = turning[..., 0, None], turning[..., 1, None], forces.cos[:, None], forces.sin[:, None]
-        per_turn = y * cos - x * sin  # (T, c, Q)
-        if forces.turned is not None:
-            first, second = (part[:, None] for part in forces.turned)
-            per_turn = first * (x * cos + y * sin) + second * per_turn
-        lw = np.asarray(load_factor, dtype=float)[..., None, None] * (problem.length * problem.weights)[..., None, :]
-        moved = lw * per_turn * problem.follower_beyond @ problem.to_nodes
-        out -= np.einsum("tcq,tcp->tqp", moved, problem.follower_rows)
-    return out
+    return second_variation(problem, forces.along, problem.stiff)
 
 
 def balance(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tuple[Array, Array]:
@@ -272,15 +244,8 @@ def balance(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tup
 
 
 def is_stable(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> BoolArray:
-    """(T,) whether the second variation is positive (T has a Cholesky factor).
-
-    With follower forces: whether no real eigenvalue of T is zero or negative (no divergence; flutter is not seen).
-    """
+    """(T,) whether the second variation is positive (T has a Cholesky factor)."""
     forces = nodal_forces(problem, q, load_factor)
-    if problem.follower.shape[1]:
-        values = np.linalg.eigvals(scaled(problem, tangent(problem, q, load_factor, forces)))
-        real = np.abs(values.imag) < 1e-9 * np.abs(values)
-        return np.asarray(np.all(~real | (values.real > 0.0), axis=-1))
     stable = _surely_stable(problem, forces.along)
     doubtful = np.flatnonzero(~stable)
     if doubtful.size:
@@ -294,7 +259,7 @@ def is_convex(problem: Problem) -> BoolArray:
 
     The bound of `_surely_stable` with all forces as compression, for beams without stretch and shear.
     """
-    if problem.compliance is not None or problem.follower.shape[1]:
+    if problem.compliance is not None:
         return np.zeros(problem.size, dtype=bool)
     return _surely_stable(problem, -problem.length * problem.weights * np.linalg.norm(problem.dead_force, axis=-1))
 

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import eigh, eigvals
+from numpy.typing import ArrayLike
+from scipy.linalg import eigh
 
 from onebend.beam.dynamics import Actions, Body, acting, body, mass_matrix
 from onebend.beam.integration import MotionState
@@ -29,7 +29,6 @@ class Vibration:
 
     body: Body
     theta: Array  # (n,) rad
-    base: Array  # (3,) the gripper's pose
     squared: Array  # (m,) (rad/s)^2; negative if unstable
     shapes: Array  # (n, m) kg^-1/2 m^-1, scaled to x^T B x = 1
 
@@ -42,7 +41,7 @@ class Vibration:
     def moved(self, s: ArrayLike) -> Array:
         """(m, S, 2) 1 / sqrt(kg): motion of `s` (S,) per unit of each mode."""
         places = np.atleast_1d(np.asarray(s, dtype=float))
-        alpha = self.body.rest_angle + self.base[2] + self.body.to_angle @ self.theta
+        alpha = self.body.rest_angle + self.body.to_angle @ self.theta
         turning = (self.body.to_angle @ self.shapes).T
         rows = self.body.length * self.body.grid.integral_to(places)
         return np.stack([(-np.sin(alpha) * turning) @ rows.T, (np.cos(alpha) * turning) @ rows.T], axis=-1)
@@ -53,22 +52,20 @@ def settle(on: Body, actions: Actions = Actions(), time: float = 0.0, *, load_st
 
     Raises `MechanicsError`: no equilibrium, or an unstable one.
     """
-    now = acting(on, actions, np.array([time]))
-    pull, couple = now.pull[:, :, 0], now.couple[:, 0]
-    clamped = on.rest_angle + now.base[0, 2]
+    pull = acting(on, actions, np.array([time]))[:, :, 0]
     theta = np.zeros(on.n)
     for factor in np.linspace(0.0, 1.0, load_steps + 1)[1:]:
         for _ in range(30):
-            alpha = clamped + on.to_angle @ theta
+            alpha = on.rest_angle + on.to_angle @ theta
             across = np.cos(alpha) * pull[1] - np.sin(alpha) * pull[0]
-            gradient = on.stiffness @ theta - factor * (across @ on.to_angle + couple)
+            gradient = on.stiffness @ theta - factor * across @ on.to_angle
             update = np.linalg.solve(_tangent(on, alpha, factor * pull), gradient)
             theta = theta - update
             if np.max(np.abs(update)) < 1e-12 * (1.0 + np.max(np.abs(theta))):
                 break
         else:
             raise MechanicsError(f"no equilibrium within {on.n} coordinates at {factor:.0%} of the load")
-    if not np.linalg.eigvalsh(_tangent(on, clamped + on.to_angle @ theta, pull))[0] > 0.0:
+    if not np.linalg.eigvalsh(_tangent(on, on.rest_angle + on.to_angle @ theta, pull))[0] > 0.0:
         raise MechanicsError("the equilibrium under these actions is not stable: a beam at rest there would not stay")
     return MotionState(theta, np.zeros(on.n), time)
 
@@ -78,16 +75,15 @@ def vibration_of(on: Body, state: MotionState, actions: Actions = Actions(), *, 
 
     Raises `MechanicsError`: the state is not an equilibrium.
     """
-    now = acting(on, actions, np.array([state.time]))
-    alpha = on.rest_angle + now.base[0, 2] + on.to_angle @ state.theta
-    pull = now.pull[:, :, 0]
+    pull = acting(on, actions, np.array([state.time]))[:, :, 0]
+    alpha = on.rest_angle + on.to_angle @ state.theta
     across = np.cos(alpha) * pull[1] - np.sin(alpha) * pull[0]
-    terms = (on.stiffness @ state.theta, across @ on.to_angle, now.couple[:, 0])
-    residual = np.max(np.abs(terms[0] - terms[1] - terms[2]))
-    if residual > 1e-6 * max(np.max(np.abs(term)) for term in terms):
+    terms = on.stiffness @ state.theta, across @ on.to_angle
+    residual = np.max(np.abs(terms[0] - terms[1]))
+    if residual > 1e-6 * np.max(np.abs(terms)):
         raise MechanicsError(f"vibrations are about an equilibrium, but {residual:.3g} N m are left unbalanced here")
     squared, shapes = _modes(_tangent(on, alpha, pull), mass_matrix(on, state.theta), count)
-    return Vibration(on, state.theta, now.base[0], squared, shapes)
+    return Vibration(on, state.theta, squared, shapes)
 
 
 def vibration(
@@ -97,32 +93,8 @@ def vibration(
 
     `frame` picks one of the batch. `rotary_inertia`: iota(s) = rho I, kg m; None: Euler-Bernoulli.
 
-    Raises `MechanicsError`: no equilibrium of this frame, another beam, no mass, a thickness, or follower forces (see
-    `exponents`).
+    Raises `MechanicsError`: no equilibrium of this frame, another beam, no mass, or a thickness.
     """
-    if solved.problem.follower.shape[1]:
-        raise MechanicsError("follower forces have no potential, and so no such modes: use `exponents`")
-    on, theta, stiff = _about(beam, solved, frame, rotary_inertia)
-    squared, shapes = _modes(stiff, mass_matrix(on, theta), count)
-    return Vibration(on, theta, np.zeros(3), squared, shapes)
-
-
-def exponents(
-    beam: Rod, solved: Equilibrium, *, frame: int = 0, rotary_inertia: Profile = Uniform(0.0), count: int = 6
-) -> NDArray[np.complex128]:
-    """(m,) 1/s, z of small motions exp(z t) about any equilibrium, also under follower forces; slowest first.
-
-    Of each pair +-z the one that does not decay. A positive real part means divergence, or flutter with an imaginary
-    part. Arguments and errors as for `vibration`.
-    """
-    on, theta, stiff = _about(beam, solved, frame, rotary_inertia)
-    inverse = eigvals(mass_matrix(on, theta), stiff)  # 1 / omega^2
-    inverse = inverse[np.argsort(-np.abs(inverse))][:count]
-    z = 1j / np.sqrt(inverse.astype(complex))
-    return np.asarray(np.where(z.real < 0.0, -z, z))
-
-
-def _about(beam: Rod, solved: Equilibrium, frame: int, rotary_inertia: Profile) -> tuple[Body, Array, Array]:
     if not solved.converged[frame]:
         raise MechanicsError(f"load {frame} has no equilibrium to vibrate about")
     refuse_section(beam, "the equation of motion")
@@ -131,7 +103,9 @@ def _about(beam: Rod, solved: Equilibrium, frame: int, rotary_inertia: Profile) 
     on = body(beam, rotary_inertia=rotary_inertia, grid=grid)
     if not (np.allclose(problem.k, beam.stiffness(grid.nodes)) and np.allclose(problem.length, beam.length)):
         raise MechanicsError(f"the equilibrium of load {frame} is not one of this beam")
-    return on, solved.q[frame] - on.rest_curvature, tangent(problem, solved.q[frame : frame + 1])[0]
+    theta, stiff = solved.q[frame] - on.rest_curvature, tangent(problem, solved.q[frame : frame + 1])[0]
+    squared, shapes = _modes(stiff, mass_matrix(on, theta), count)
+    return Vibration(on, theta, squared, shapes)
 
 
 def _tangent(on: Body, alpha: Array, pull: Array) -> Array:

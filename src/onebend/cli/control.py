@@ -360,7 +360,6 @@ def show_loop(
     known: Margins,
     trials: tuple[LoopTrial, ...],
     output: Path | None,
-    further: Mapping[str, object],
 ) -> None:
     table = common.facts_table()
     x, y = control.reference.ends
@@ -371,12 +370,6 @@ def show_loop(
     turn = "any" if math.isinf(known.phase) else f"{math.degrees(known.phase):.0f} deg"
     table.add_row("margins", f"gain {known.gain:.2f}, phase {turn}, further delay {later}")
     table.add_row("stable while", f"the true k(s) is above {known.softest:.2f} times the model's")
-    if further["felt"] != "nothing":
-        table.add_row("the force is felt", "by a log" if further["felt"] == "log" else "by the beam's shape")
-    if further["force_off_N"]:
-        table.add_row("the robot's force", f"off by {further['force_off_N']:.3g} N, across it")
-    if further["hidden"]:
-        table.add_row("the point", "never seen")
     console.print(table)
     runs = Table("true k(s)", "steady, mm", "settled to 1 mm, s", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for trial in trials:

@@ -486,13 +486,10 @@ def checked_goal(goal: ArrayLike, settings: ReachSettings) -> Array:
     return wanted
 
 
-def broken_bound(pushed: PushedBeam, state: LoadedState, settings: ReachSettings) -> str:
-    """The violated bound in words, or ""."""
-    size = math.hypot(state.load[0], state.load[1])
+def broken_bound(size: float, bend: float, settings: ReachSettings) -> str:
+    """The bound that a force of `size` [N] or a curvature `bend` [1/m] violates, in words, or ""."""
     if settings.max_force is not None and size > settings.max_force * (1.0 + 1e-9):
         return f"it needs {size:.3g} N, and {settings.max_force:.3g} N are allowed"
-    if settings.max_curvature is not None:
-        bend = pushed.bend(state.q)
-        if bend > settings.max_curvature * (1.0 + 1e-9):
-            return f"it bends the beam by {bend:.3g} 1/m, and {settings.max_curvature:.3g} 1/m are allowed"
+    if settings.max_curvature is not None and bend > settings.max_curvature * (1.0 + 1e-9):
+        return f"it bends the beam by {bend:.3g} 1/m, and {settings.max_curvature:.3g} 1/m are allowed"
     return ""

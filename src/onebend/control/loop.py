@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from math import hypot, inf, isfinite, sqrt
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -274,76 +273,6 @@ def _least_lag(curve: ComplexArray) -> float:
     return float(np.min(lags, initial=np.inf))
 
 
-# A felt force. A robot does not apply exactly the force asked for. The felt force is compared with the one wanted at
-# that moment, behind two filters at half the position's rate. While the camera sees the point, only its position
-# corrects the force, and the felt excess is stored. While it does not, an offset restores that excess (or, if the point
-# was never seen, the wanted force). With covariance C of the felt force and `sd^2 I` of the robot's error, the weight
-# is `K = sd^2 (sd^2 I + C)^-1`.
-#
-# A force estimated from the shape is wrong by the factor by which k(s) is, as is the force for the goal: the beam still
-# reaches the goal.
-
-# Of the position's rate and corner, as inertia counts as force.
-_SLOWER = 0.5
-_MOST_OFF = 3.0  # sds: more is not the robot's error
-
-
-class Felt(Protocol):
-    @property
-    def force(self) -> Array:
-        """(2,) N; NaN if unknown."""
-
-    @property
-    def covariance(self) -> Array:
-        """(2, 2) N^2."""
-
-
-@dataclass(frozen=True)
-class FeltForce:
-    force: Array  # (2,) N
-    covariance: Array  # (2, 2) N^2
-
-
-@dataclass(frozen=True)
-class Offset:
-    force: Array = field(default_factory=lambda: np.zeros(2))  # (2,) N
-    # (2,) N felt beyond the wanted force, when the point was last seen
-    more: Array = field(default_factory=lambda: np.zeros(2))
-    correction: Array = field(default_factory=lambda: np.zeros(2))  # (2,) N, the integral at exposure
-    # (2, 2) N excess, behind the first filter and both
-    filtered: Array = field(default_factory=lambda: np.zeros((2, 2)))
-    frame_at: float = 0.0  # s, last frame with a force
-
-
-def believed_share(covariance: Array, sd: float) -> Array:
-    """(2, 2): `sd^2 (sd^2 I + C)^-1`."""
-    return np.asarray(sd**2 * np.linalg.inv(sd**2 * np.eye(2) + covariance))
-
-
-@dataclass(frozen=True)
-class Exposure:
-    """One frame of a simulated loop."""
-
-    time: float  # s
-    force: Array  # (2,) N on the beam
-    pose: Callable[[Array], Array]  # places (m,) to poses (m, 3) m, m, rad
-
-
-ForceSense = Callable[[Exposure], Felt | None]  # force in a frame; None: unknown
-
-
-class LoggedForce:
-    """A force sensor with `bias` (2,) N, white noise `noise` N and stated accuracy `sd` N."""
-
-    def __init__(self, bias: Array, *, noise: float = 0.0, sd: float = 0.0, seed: int = 0) -> None:
-        self._bias, self._noise, self._rng = np.asarray(bias, dtype=float), noise, np.random.default_rng(seed)
-        self._covariance = sd**2 * np.eye(2)
-
-    def __call__(self, seen: Exposure) -> FeltForce:
-        told = seen.force + self._bias + self._noise * self._rng.standard_normal(2)
-        return FeltForce(told, self._covariance)
-
-
 _CORNERS = np.geomspace(1.0, 100.0, 13)  # rad/s, of the filter
 _FASTEST, _SLOWEST = 20.0, 0.02  # 1/s, of the integral
 
@@ -408,8 +337,7 @@ class ControllerSettings:
     wanted: RequiredMargins = field(default_factory=RequiredMargins)
     gains: Gains | None = None  # None: the fastest with these margins
     weak: float = 0.01  # below this share of the largest compliance: corrected slowly
-    most_force: float = inf  # N, of the wanted force; `felt` adds to it
-    force_sd: float = 0.2  # N, of the robot's force, used with a felt force
+    most_force: float = inf  # N
     rise: float | None = None  # s; None: two periods of the slowest vibration, at least 1 s
     feedforward: bool = True
     feedback: bool = True
@@ -420,8 +348,6 @@ class ControllerSettings:
                 "a loop needs a bound on the force and a share `weak` above zero, and a damping ratio between 0 and 1, "
                 f"got {self.most_force} N, {self.weak} and {self.damping_ratio}"
             )
-        if not (isfinite(self.force_sd) and self.force_sd > 0.0):
-            raise ControlError(f"a robot's force is off by a finite sd above zero, got {self.force_sd} N")
         if not isfinite(self.longest_delay) or self.longest_delay < 0.0:
             raise ControlError(f"the longest delay must be finite and not negative, got {self.longest_delay} s")
         if self.rise is not None and not (isfinite(self.rise) and self.rise > 0.0):
@@ -463,7 +389,6 @@ class ControllerState:
     correction: Array  # (2,) N: the integral
     filtered: Array  # (2, 2) m: error behind the first filter, and both
     frame_at: float  # s
-    offset: Offset = field(default_factory=Offset)  # from the felt force
 
 
 @dataclass(frozen=True)
@@ -482,33 +407,25 @@ class Controller:
     settings: ControllerSettings
 
     @one_blas_thread
-    def begin(self, time: float, correction: ArrayLike = (0.0, 0.0), offset: ArrayLike = (0.0, 0.0)) -> ControllerState:
-        """Starts the way to the goal at `time` s; `offset` (2,) N of an earlier state."""
-        carried = np.asarray(correction, dtype=float)
-        begun = Offset(np.asarray(offset, dtype=float), carried, frame_at=time)
-        return ControllerState(time, carried, np.zeros((2, 2)), time, begun)
+    def begin(self, time: float, correction: ArrayLike = (0.0, 0.0)) -> ControllerState:
+        """Starts the way to the goal at `time` s; `correction` (2,) N of an earlier state."""
+        return ControllerState(time, np.asarray(correction, dtype=float), np.zeros((2, 2)), time)
 
     @one_blas_thread
-    def step(
-        self, state: ControllerState, seen: ArrayLike | None, time: float, *, felt: Felt | None = None
-    ) -> tuple[ControllerState, Array]:
+    def step(self, state: ControllerState, seen: ArrayLike | None, time: float) -> tuple[ControllerState, Array]:
         """The force (2,) N from `time` s on, and the next state.
 
-        `seen`: the point (2,) m in a frame that has just arrived; None: no frame, NaN: hidden. `felt`: the force in a
-        frame that has just arrived. Call as often as the force can be set.
+        `seen`: the point (2,) m in a frame that has just arrived; None: no frame, NaN: hidden. Call as often as the
+        force can be set.
         """
-        shown = False
         if seen is not None and self.settings.feedback:
             position = np.asarray(seen, dtype=float)
             if position.shape != (2,):
                 raise ControlError(f"the loop sees one position (2,) [m], got shape {position.shape}")
-            shown = isfinite(position[0]) and isfinite(position[1])
-            if shown:
+            if isfinite(position[0]) and isfinite(position[1]):
                 state = self._corrected(state, position, time)
-        if felt is not None:
-            state = replace(state, offset=self._offset(state, felt, time, seen=shown))
         wanted = self._feedforward(time - state.began) + state.correction
-        return state, bounded(wanted, self.settings.most_force) + state.offset.force
+        return state, bounded(wanted, self.settings.most_force)
 
     @one_blas_thread
     def margins(self) -> Margins:
@@ -523,7 +440,9 @@ class Controller:
             return state
         late = self.settings.timing.delay + self.settings.timing.lag
         error = self.reference.position(since - late) - position
-        filtered = _filtered(state.filtered, error, self.gains.corner * passed)
+        keep = np.exp(-self.gains.corner * passed)
+        once = keep * state.filtered[0] + (1.0 - keep) * error
+        filtered = np.stack([once, keep * state.filtered[1] + (1.0 - keep) * once])
         feedforward = self._feedforward(since)
         inverse = self.inverse_at(feedforward + state.correction, since)
         correction = state.correction + self.gains.rate * passed * inverse @ filtered[1]
@@ -549,32 +468,8 @@ class Controller:
         compliance = respond(solved, of_force(solved.problem, np.array([self.push_s]))).xy(point)[best, 0]
         return damped_inverse(_COMPLIANCE_SCALES[best] * compliance, self.settings.weak)
 
-    def _offset(self, state: ControllerState, felt: Felt, time: float, *, seen: bool) -> Offset:
-        """After a frame with a force; `seen`: it also showed the point."""
-        offset, gains, sd = state.offset, self.gains, self.settings.force_sd
-        told, timing = np.asarray(felt.force, dtype=float), self.settings.timing
-        passed, late = min(time - offset.frame_at, 1.0 / timing.fps), timing.delay + timing.lag
-        if not (passed > 0.0 and np.isfinite(told).all()):
-            return offset
-        wanted = self._feedforward(time - state.began - late)
-        then = state.correction + np.exp(-passed / max(late, 1e-9)) * (offset.correction - state.correction)
-        filtered = _filtered(offset.filtered, told - wanted - then, _SLOWER * gains.corner * passed)
-        if seen:
-            return Offset(offset.force, filtered[1], then, filtered, time)
-        believed = believed_share(np.asarray(felt.covariance, dtype=float), sd)
-        step = believed @ (offset.more - filtered[1]) - (np.eye(2) - believed) @ offset.force
-        force = bounded(offset.force + _SLOWER * gains.rate * passed * step, _MOST_OFF * sd)
-        return Offset(force, offset.more, then, filtered, time)
-
     def _feedforward(self, since: float) -> Array:
         return self.reference.force(since) if self.settings.feedforward else self.reference.begins
-
-
-def _filtered(before: Array, value: Array, decay: float) -> Array:
-    """(2, 2) behind one and two first-order filters."""
-    keep = np.exp(-decay)
-    once = keep * before[0] + (1.0 - keep) * value
-    return np.stack([once, keep * before[1] + (1.0 - keep) * once])
 
 
 def bounded(force: Array, most: float) -> Array:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from onebend.beam.model import Beam
 from onebend.beam.problem import has_mass
 from onebend.beam.stiffness import Profile, Scaled, UncertainStiffness, Uniform
 from onebend.beam.vibration import settle, vibration_of
-from onebend.control.loop import Controller, ControllerSettings, Exposure, ForceSense, RequiredMargins, Timing
+from onebend.control.loop import Controller, ControllerSettings, RequiredMargins, Timing
 from onebend.errors import ControlError, MechanicsError
 from onebend.options import option
 from onebend.progress import one_blas_thread
@@ -101,10 +100,8 @@ def simulate_loop(
     *,
     seed: int = 0,
     tick: float = TICK,
-    feel: ForceSense | None = None,
 ) -> LoopSimulation:
-    """Runs `control` on `truth` from rest for `duration` s, with a force every `tick` s. `feel` gives the force in
-    every frame; it may be stateful, so use one per run.
+    """Runs `control` on `truth` from rest for `duration` s, with a force every `tick` s.
 
     Raises `MechanicsError`: unknown mass, or unsolved motion.
     """
@@ -112,21 +109,17 @@ def simulate_loop(
     moving = _MovingBeam(truth, tick)
     state = control.begin(0.0)
     rows = np.zeros((int(np.ceil(duration / tick)) + 1, 7))
-    axis, bent = np.zeros((len(rows), len(AXIS_PLACES), 2)), np.zeros((len(rows), moving.body.n))
+    axis = np.zeros((len(rows), len(AXIS_PLACES), 2))
     for i, row in enumerate(rows):
         row[1:3], axis[i] = moving.point_and_axis()
-        row[0], row[5:], bent[i] = i * tick, moving.force, moving.theta
+        row[0], row[5:] = i * tick, moving.force
         state, row[3:5] = control.step(state, None, row[0])
         while arrivals and arrivals[0][0] <= row[0] + 1e-9:
             _, exposed, noise = arrivals.popleft()
             first = max(0, int(exposed / tick))
             before = rows[first : i + 1]
             position = np.array([np.interp(exposed, before[:, 0], before[:, c]) for c in (1, 2)]) + noise
-            share = 0.0 if i == first else min((exposed - before[0, 0]) / (before[1, 0] - before[0, 0]), 1.0)
-            last = min(first + 1, i)
-            force, theta = ((1.0 - share) * each[first] + share * each[last] for each in (rows[:, 5:], bent))
-            felt = None if feel is None else feel(Exposure(exposed, force, partial(moving.pose, theta)))
-            state, row[3:5] = control.step(state, position, row[0], felt=felt)
+            state, row[3:5] = control.step(state, position, row[0])
         moving.advance(row[3:5], row[0])
     return LoopSimulation(control.goal, rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5:], axis)
 
@@ -153,20 +146,13 @@ class _MovingBeam:
         found = self._places @ np.stack([np.cos(alpha), np.sin(alpha)], axis=1)
         return found[0], found[1:]
 
-    def pose(self, theta: Array, s: Array) -> Array:
-        """(m, 3) m, m, rad at `s` (m,)."""
-        alpha, grid = self.body.rest_angle + self.body.to_angle @ theta, self.body.grid
-        along = self.body.length * grid.integral_to(s)
-        return np.column_stack([along @ np.cos(alpha), along @ np.sin(alpha), grid.value_at(s) @ alpha])
-
     def advance(self, asked: Array, now: float) -> None:
         """One tick towards the requested force."""
         goes_to = self.hand.gain * asked + np.asarray(self.hand.bias)
         decay = np.exp(-self.tick * np.append(self._numbers.c, 1.0) / max(self.hand.lag, 1e-9))
         force = goes_to + decay[:, None] * (self.force - goes_to)
-        pull = self._weight.pull + self._lever[:, None] * force[:-1].T[:, None]
-        acts = replace(self._weight, pull=pull, force=force[:-1])
-        step = self._stepper.advance(self.theta, self._momentum, self._guess, acts, now)
+        pull = self._weight + self._lever[:, None] * force[:-1].T[:, None]
+        step = self._stepper.advance(self.theta, self._momentum, self._guess, pull, now)
         self.theta, self._momentum, self.force = step.theta, step.momentum, force[-1]
         self._guess = step.velocity @ self._numbers.ahead.T
 
@@ -273,21 +259,14 @@ def simulate_trials(
     eye: LoopCamera = LoopCamera(),
     duration: float = 8.0,
     seed: int = 0,
-    force_off: float = 0.0,
-    feel: Callable[[Beam], ForceSense] | None = None,
 ) -> Iterator[LoopTrial]:
     """The loop on each beam; unknown masses are replaced by a small one.
 
-    The robot's force is off by `force_off` [N], to the left of the model's force; `feel` makes the source of the force.
-
-    Raises `ControlError`: a duration below two seconds, or a negative `force_off`.
+    Raises `ControlError`: a duration below two seconds.
     """
     if not duration >= 2.0:
         raise ControlError(f"a simulation takes two seconds at least, got {duration} s")
-    if not (np.isfinite(force_off) and force_off >= 0.0):
-        raise ControlError(f"a robot's force is off by a finite size, got {force_off} N")
-    x, y = along(control) * force_off
-    hand = Actuator(lag=control.settings.timing.lag, bias=(-float(y), float(x)))
+    hand = Actuator(lag=control.settings.timing.lag)
     model, weighed = control.beam, has_mass(control.beam)
     for beam in beams:
         mass = model.mass_per_length if weighed else Uniform(_LEAST_MASS)
@@ -301,31 +280,6 @@ def simulate_trials(
             hand=hand,
         )
         try:
-            sense = None if feel is None else feel(truth.beam)
-            yield LoopTrial(beam, simulate_loop(control, truth, duration, seed=seed, feel=sense))
+            yield LoopTrial(beam, simulate_loop(control, truth, duration, seed=seed))
         except MechanicsError:
             yield LoopTrial(beam, None)
-
-
-def along(control: Controller) -> Array:
-    """(2,) direction of the model's force, else x."""
-    force = control.reference.ends
-    size = float(np.linalg.norm(force))
-    return np.asarray(force / size) if size > 0.0 else np.array([1.0, 0.0])
-
-
-@one_blas_thread
-def simulate_range(
-    control: Controller,
-    *,
-    k_error: float = 0.3,
-    eye: LoopCamera = LoopCamera(),
-    duration: float = 8.0,
-    seed: int = 0,
-    force_off: float = 0.0,
-    feel: Callable[[Beam], ForceSense] | None = None,
-) -> tuple[LoopTrial, ...]:
-    """The loop on `wrong_beams`. Raises `ControlError` as `wrong_beams` and `simulate_trials`."""
-    beams = wrong_beams(control.beam, k_error)
-    trials = simulate_trials(control, beams, eye=eye, duration=duration, seed=seed, force_off=force_off, feel=feel)
-    return tuple(trials)

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -148,13 +147,13 @@ def search(
     pushed: PushedBeam,
     goal: Array,
     settings: ReachSettings,
-    begin: EquilibriumPath | None,
     samples: Callable[[], ReachableSet],
 ) -> ReachCandidate | None:
     """An equilibrium on the goal reached from rest; out of bounds only if there is no other."""
     spare = None
-    for candidate in _tries(pushed, goal, settings, begin, samples):
-        wrong = broken_bound(pushed, candidate.states[-1], settings)
+    for candidate in _tries(pushed, goal, settings, samples):
+        last = candidate.states[-1]
+        wrong = broken_bound(float(np.hypot(*last.load[:2])), pushed.bend(last.q), settings)
         if not wrong:
             return candidate
         spare = spare or replace(candidate, wrong=wrong)
@@ -200,12 +199,9 @@ def _tries(
     pushed: PushedBeam,
     goal: Array,
     settings: ReachSettings,
-    begin: EquilibriumPath | None,
     samples: Callable[[], ReachableSet],
 ) -> Iterator[ReachCandidate]:
-    if begin is not None:
-        yield from _led(pushed, begin, goal, settings.loads)
-    elif len(goal) == settings.loads == 2:
+    if len(goal) == settings.loads == 2:
         step = step_to(pushed, goal)
         if step is not None:
             yield ReachCandidate(pushed, (pushed.start, step[0], step[1].state), step[1].iterations, known=True)
@@ -367,13 +363,11 @@ def reach(
     push_s: float = 1.0,
     point_s: float = 1.0,
     settings: ReachSettings = ReachSettings(),
-    start: Reach | None = None,
 ) -> Reach:
     """The force at `push_s` that puts the point at `point_s` on `goal`; an unreachable goal is no error (`converged`).
 
     Args:
         goal: (2,) m in the beam's frame; (3,) with the tangent's angle [rad], with a moment.
-        start: an earlier result for the same beam and places, to lead from.
 
     Raises `ControlError`: an invalid goal, place or bound. Raises `MechanicsError`: k(s) is not positive.
     """
@@ -382,25 +376,12 @@ def reach(
     if settings.method == "paper":
         return _by_paper(pushed, wanted, settings)
     samples = partial(sampled, pushed, settings)
-    begin = None if start is None else _way_of(pushed, start)
     far, candidate = _too_far(pushed, wanted), None
     if not far and settings.direction is None:
-        candidate = search(pushed, wanted, settings, begin, samples)
+        candidate = search(pushed, wanted, settings, samples)
         if candidate is not None and not candidate.wrong:
             return _result(resolved(candidate, wanted, settings), wanted, settings, "")
     return _unreached(pushed, wanted, settings, far or (candidate.wrong if candidate else ""), samples())
-
-
-def _way_of(pushed: PushedBeam, start: Reach) -> EquilibriumPath:
-    if (start.push_s, start.point_s) != (pushed.push_s, pushed.point_s) or start.beam != pushed.beam:
-        raise ControlError("`start` is a result for another beam or other places; leave it out")
-    states = [pushed.start]
-    for state in start.states[1:]:
-        step = trace(pushed, state.load, start=states[-1])
-        if not step.arrived:
-            return EquilibriumPath(tuple(states), False)
-        states.append(step.states[-1])
-    return EquilibriumPath(tuple(states), True)
 
 
 def _too_far(pushed: PushedBeam, goal: Array) -> str:
@@ -491,112 +472,6 @@ def _by_paper(pushed: PushedBeam, goal: Array, settings: ReachSettings) -> Reach
     elif off > 2.0 * settings.paper.tolerance:
         why = f"the paper's iteration settled, but under its force the exact beam is {1e3 * off:.3g} mm off"
     return _result(ReachCandidate(pushed, trail.states, force.iterations), goal, settings, why)
-
-
-_LARGEST_TURN = 0.4  # rad: a larger turn may leave the branch
-
-
-@dataclass(frozen=True, slots=True)
-class HoldingLoad:
-    force: Array  # (2,) N
-    moment: float  # N m
-    route: Literal["warm", "led", "rest"]  # Newton from the last load, small steps of the goal, or search from rest
-    iterations: int  # 0 if not counted
-
-
-class WarmReach:
-    """A beam whose point moves from goal to goal; stateful, for one thread.
-
-    It stays on its branch of stable equilibria. Other goals are searched from rest; a real beam may need a jump
-    (`HoldingLoad.route` is "rest").
-    """
-
-    @one_blas_thread
-    def __init__(
-        self,
-        beam: Beam,
-        *,
-        push_s: float = 1.0,
-        point_s: float = 1.0,
-        settings: ReachSettings = ReachSettings(),
-        resolution: Resolution = Resolution(),
-    ) -> None:
-        """At rest. Raises `ControlError`: an invalid place, or settings for `reach` only (paper, one direction)."""
-        if settings.method != "newton" or settings.direction is not None:
-            raise ControlError("a warm reach is Newton's, with forces in all directions; take `reach` for others")
-        self._settings = settings
-        self._pushed = PushedBeam(beam, push_s, point_s, gravity=settings.gravity, resolution=resolution)
-        self._state: LoadedState | None = None
-        self._last: NewtonResult | None = None
-
-    @property
-    def jacobian(self) -> Array:
-        """(2, 2) or (2, 3) m/N: the point by the load. Equation (25)."""
-        if self._state is None:
-            raise ControlError("no goal has been reached yet: there is nothing to take derivatives of")
-        return self._pushed.response(self._state)[:2, : self._settings.loads]
-
-    @property
-    def point(self) -> Array:
-        """(3,) m, m, rad."""
-        return self._pushed.pose((self._state or self._pushed.start).q)
-
-    def reset(self) -> None:
-        self._state = self._last = None
-
-    @one_blas_thread
-    def solve(self, goal: ArrayLike) -> HoldingLoad:
-        """The load for `goal` (2,) m, or (3,) with an angle [rad].
-
-        Raises `ControlError`: an invalid or unreachable goal (the beam stays).
-        """
-        wanted = checked_goal(goal, self._settings)
-        if self._state is not None:
-            result = solve_goal(
-                self._pushed, self._predicted(wanted), wanted, self._settings.loads, most=8, trust=_LARGEST_TURN
-            )
-            if result.converged and result.positive:
-                return self._take(result.state, "warm", result.iterations, result)
-            led = lead(self._pushed, self._state, wanted, self._settings.loads)
-            if led.arrived:
-                return self._take(led.states[-1], "led", 0, None)
-        for state, iterations in solutions(self._pushed, wanted, self._settings.loads):
-            if from_rest(self._pushed, state) is not None:
-                return self._take(state, "rest", iterations, None)
-        settled = search(self._pushed, wanted, self._settings, None, partial(sampled, self._pushed, self._settings))
-        if settled is None:
-            raise ControlError(
-                f"the point s = {self._pushed.point_s:.4g} cannot be put on "
-                f"{np.round(1e3 * wanted[:2], 3).tolist()} mm: no stable shape there to which the beam comes "
-                "from rest. `reach` names the nearest point"
-            )
-        return self._take(settled.states[-1], "rest", settled.iterations, None)
-
-    def _predicted(self, goal: Array) -> LoadedState:
-        """First-order prediction."""
-        assert self._state is not None
-        state, last = self._state, self._last
-        if last is None or last.curvature_per_load is None or last.compliance is None:
-            return state
-        rows, columns = last.compliance.shape
-        if rows != columns or rows != len(goal):
-            return state
-        change = np.linalg.solve(last.compliance, goal - self._pushed.pose(state.q)[: len(goal)])
-        curve = last.curvature_per_load @ change
-        if not np.max(np.abs(self._pushed.b @ curve)) < 0.5 * _LARGEST_TURN:
-            return state
-        load = state.load.copy()
-        load[: len(change)] += change
-        return LoadedState(state.q + curve, load)
-
-    def _take(
-        self, state: LoadedState, route: Literal["warm", "led", "rest"], count: int, last: NewtonResult | None
-    ) -> HoldingLoad:
-        wrong = broken_bound(self._pushed, state, self._settings)
-        if wrong:
-            raise ControlError(f"the goal is out of bounds: {wrong}. Give another goal, or wider bounds")
-        self._state, self._last = state, last
-        return HoldingLoad(state.load[:2].copy(), float(state.load[2]), route, count)
 
 
 SURE = 0.95  # of the ellipse
@@ -784,7 +659,9 @@ def reach_in_setup(
     force, iterations = found
     path = np.linspace(0.0, 1.0, _ON_THE_WAY + 1)[:, None] * force
     way = bent(path)
-    _refuse_beyond(settings, force, way)
+    bend = float(np.max(np.abs(way.solved.q - way.solved.problem.q0) / way.solved.problem.length))
+    if wrong := broken_bound(float(np.hypot(*force)), bend, settings):
+        raise ControlError(f"the goal is out of bounds in this set-up: {wrong}")
     felt = force + now.force_sd * np.random.default_rng([seed, 1]).standard_normal((draws, 2))
     drawn = bent(felt, now.draw(uncertain, draws, seed=seed), np.repeat(way.solved.q[-1:], draws, axis=0))
     if np.sum(drawn.stands) < max(3, draws // 2):
@@ -831,15 +708,3 @@ def _newton_in_setup(
         change = np.linalg.lstsq((at[1:] - at[0]).T / step, goal - at[0], rcond=1e-9)[0]
         change = change * min(1.0, _LONGEST * largest / float(np.hypot(*change)))
     return None
-
-
-def _refuse_beyond(settings: ReachSettings, force: Array, way: Bent) -> None:
-    """Raises `ControlError` where the force or the curvature is beyond its bound."""
-    problem, size = way.solved.problem, float(np.hypot(*force))
-    bend = float(np.max(np.abs(way.solved.q - problem.q0) / problem.length))
-    for what, value, bound, unit in (
-        ("a force", size, settings.max_force, "N"),
-        ("a curvature", bend, settings.max_curvature, "1/m"),
-    ):
-        if bound is not None and value > bound * (1.0 + 1e-9):
-            raise ControlError(f"in this set-up the goal needs {what} of {value:.3g} {unit}, more than {bound:.3g}")

@@ -1,4 +1,4 @@
-"""A path as CSV, ROS 2 messages in YAML, and a ROS 2 bag.
+"""A path as columns, ROS 2 messages in YAML, and a ROS 2 bag.
 
 Forces and wrenches act on the beam, in its frame, at the actuator's place (also moments). Poses are of s = 1: x along
 the tangent, z out of the plane. Times count from the path's start.
@@ -6,8 +6,6 @@ the tangent, z out of the plane. Times count from the path's start.
 
 from __future__ import annotations
 
-import csv
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +25,6 @@ FRAME = "beam_base"  # origin at the base tag, x along the undeformed beam, y to
 JOINT = "gripper"
 TRAJECTORY = "trajectory_msgs/msg/MultiDOFJointTrajectory"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
-NO_NAMES = ("true", "false", "null")  # YAML words of four letters or more
 BAG_VERSION: Final = 9
 
 
@@ -50,7 +47,7 @@ def wrench_tracks(path: FollowedPath) -> tuple[WrenchTrack, ...]:
 
 
 def columns(path: FollowedPath) -> dict[str, Array]:
-    """(T,) per CSV column."""
+    """(T,) per column of `path.csv`."""
     out = {"time_s": path.time, "goal_time_s": path.goal_time}
     for i in range(path.forces.shape[1]):
         out[f"force_{i + 1}_x_N"], out[f"force_{i + 1}_y_N"] = path.forces[:, i].T
@@ -59,14 +56,6 @@ def columns(path: FollowedPath) -> dict[str, Array]:
         out["gripper_force_x_N"], out["gripper_force_y_N"], out["gripper_moment_N_m"] = path.wrench.T
     out["miss_m"] = path.miss
     return out
-
-
-def write_samples(file: Path, path: FollowedPath) -> None:
-    table = columns(path)
-    with file.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(table)
-        writer.writerows([f"{value:.10g}" for value in row] for row in np.stack(list(table.values()), axis=1))
 
 
 def trajectory_message(path: FollowedPath, *, frame: str = FRAME) -> dict[str, Any]:
@@ -98,20 +87,15 @@ def wrench_messages(path: FollowedPath, track: WrenchTrack, *, frame: str = FRAM
 
 
 def write_yaml(folder: Path, path: FollowedPath, *, frame: str = FRAME) -> list[str]:
-    """YAML for `ros2 topic pub`; returns file names. The trajectory is one message, wrenches one per sample, with `---`
-    between."""
-    names = []
-    if path.wrench is not None:
-        names.append("gripper_trajectory.yaml")
-        (folder / names[-1]).write_text(
-            "\n".join(_block(trajectory_message(path, frame=frame))) + "\n", encoding="utf-8"
-        )
+    """YAML (as JSON, which is YAML too) for `ros2 topic pub`; returns file names. The trajectory is one message,
+    wrenches one per sample, with `---` between."""
+    texts = {} if path.wrench is None else {"gripper_trajectory.yaml": to_json(trajectory_message(path, frame=frame))}
     for track in wrench_tracks(path):
-        names.append(track.topic.split("/")[2] + "_wrench.yaml")
-        with (folder / names[-1]).open("w", encoding="utf-8") as stream:
-            for message in wrench_messages(path, track, frame=frame):
-                stream.write("\n".join(_block(message)) + "\n---\n")
-    return names
+        messages = (to_json(message, readable=False) for message in wrench_messages(path, track, frame=frame))
+        texts[track.topic.split("/")[2] + "_wrench.yaml"] = "\n---\n".join(messages)
+    for name, text in texts.items():
+        (folder / name).write_text(f"{text}\n", encoding="utf-8")
+    return list(texts)
 
 
 def write_bag(folder: Path, path: FollowedPath, *, frame: str = FRAME) -> None:
@@ -164,34 +148,3 @@ def _time(seconds: float) -> dict[str, int]:
 
 def header(seconds: float, frame: str) -> dict[str, Any]:
     return {"stamp": _time(seconds), "frame_id": frame}
-
-
-def _block(data: dict[str, Any], indent: str = "") -> Iterator[str]:
-    """YAML block style as of `ros2 topic echo`."""
-    for key, value in data.items():
-        if isinstance(value, dict):
-            yield f"{indent}{key}:"
-            yield from _block(value, indent + "  ")
-        elif isinstance(value, list) and value:
-            yield f"{indent}{key}:"
-            for item in value:
-                yield from _item(item, indent)
-        else:
-            yield f"{indent}{key}: {'[]' if isinstance(value, list) else _scalar(value)}"
-
-
-def _scalar(value: Any) -> str:
-    """Names as they are, other text in JSON quotes."""
-    plain = not isinstance(value, str) or (
-        re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{3,}", value) and value.lower() not in NO_NAMES
-    )
-    return str(value) if plain else to_json(value)
-
-
-def _item(value: Any, indent: str) -> Iterator[str]:
-    if not isinstance(value, dict):
-        yield f"{indent}- {_scalar(value)}"
-        return
-    lines = list(_block(value, indent + "  "))
-    yield f"{indent}- {lines[0][len(indent) + 2 :]}"
-    yield from lines[1:]

@@ -17,16 +17,17 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from scipy.integrate import solve_ivp
 from scipy.interpolate import make_lsq_spline
 from scipy.linalg import eigvals
 from scipy.optimize import brentq
 
 from onebend.beam.continuation import equilibrium
-from onebend.beam.loads import follow_push, push, weight
+from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, make_problem
-from onebend.beam.section import Material, Rectangle, SectionPart, SectionProfiles, along
-from onebend.beam.statics import tangent
+from onebend.beam.section import SectionProfiles, rectangular_bar
+from onebend.beam.statics import found_near, tangent
 from onebend.beam.stiffness import Powers, Profile, Steps, Table, UncertainStiffness, Uniform, broken_line
 from onebend.beam.vibration import vibration
 from onebend.errors import MechanicsError, ResultsError
@@ -191,8 +192,9 @@ class Design:
 
     @cached_property
     def along(self) -> SectionProfiles:
-        material = Material(self.modulus, self.density)
-        return along((SectionPart(Rectangle(Uniform(self.depth), self.width), material),), self.length)
+        return rectangular_bar(
+            Uniform(self.depth), self.width, length=self.length, modulus=self.modulus, density=self.density
+        )
 
     @property
     def mass(self) -> float:
@@ -530,9 +532,17 @@ def bend(design: Design, turn: float) -> TipBend:
     none."""
     beam = design.beam()
 
+    def from_the_tip(force: float, places: Array) -> Array:
+        """(2, S) angle [rad] and moment [N m] at falling places: known at the tip, seen from there."""
+
+        def slopes(s: float, state: Array) -> Array:
+            return np.array([state[1] / float(beam.stiffness(s)), -beam.length * force * math.cos(state[0])])
+
+        found = solve_ivp(slopes, (1.0, 0.0), np.zeros(2), method="DOP853", t_eval=places, rtol=1e-11, atol=1e-13)
+        return np.asarray(found.y)
+
     def turned(force: float) -> float:
-        solved = equilibrium(beam, follow_push((0.0, force)), resolution=FINE)
-        return float(solved.angle(np.array([1.0]))[0, 0]) if solved.converged[0] else math.nan
+        return -float(from_the_tip(force, np.zeros(1))[0, 0])
 
     first = turn / _compliance(beam, 1)
     largest = first
@@ -541,8 +551,10 @@ def bend(design: Design, turn: float) -> TipBend:
     if not turned(largest) >= turn:
         raise MechanicsError(f"no force on the tip of {design.name!r} turns it by {math.degrees(turn):.0f} degrees")
     force = float(brentq(lambda f: turned(f) - turn, 0.0, largest, xtol=1e-10 * first, rtol=1e-10))
-    solved = equilibrium(beam, follow_push((0.0, force)), resolution=FINE)
-    nodes = solved.problem.grid.nodes
+    problem = make_problem(beam, push((-force * math.sin(turn), force * math.cos(turn))), FINE)
+    nodes = problem.grid.nodes
+    q = from_the_tip(force, nodes[::-1])[1, ::-1] / problem.k
+    solved = found_near(problem, q[None], np.ones(1, dtype=bool))
     strain = 0.5 * np.asarray(design.width(nodes)) * np.abs(solved.q[0]) / design.length
     return TipBend(turn, force, np.asarray(solved.xy(np.array([1.0]))[0, 0]), float(np.max(strain)))
 
@@ -567,8 +579,9 @@ def buckling_force(beam: Beam) -> float:
 
 def across_depth(design: Design) -> Beam:
     """The same bar, bending across its depth."""
-    material = Material(design.modulus, design.density)
-    turned = along((SectionPart(Rectangle(design.width, Uniform(design.depth)), material),), design.length)
+    turned = rectangular_bar(
+        design.width, Uniform(design.depth), length=design.length, modulus=design.modulus, density=design.density
+    )
     return Beam(design.length, turned.stiffness, mass_per_length=turned.mass_per_length)
 
 

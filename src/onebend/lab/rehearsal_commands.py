@@ -35,7 +35,6 @@ from onebend.lab.rehearsal import (
     summary_of,
     write_table,
 )
-from onebend.lab.sensed_force import FeltBy, felt_by
 from onebend.learning.design import PLACES
 from onebend.options import POSITIVE, Only, option
 from onebend.progress import available_cores
@@ -66,19 +65,6 @@ class SimulatedLoop:
         within=(1, loop_simulation.MOST_DRAWN),
     )
     max_force: float = option("--max-force-N", math.inf, "Largest force.", metavar="N", within=POSITIVE)
-    felt: FeltBy = option(
-        "--felt",
-        "nothing",
-        "Source of the force on the beam. log: a sensor. shape: the tags, as in `onebend sense`.",
-    )
-    force_off: float = option(
-        "--force-off-N",
-        0.0,
-        "Error of the robot's force, across it, and of the log of --felt log, along it.",
-        metavar="N",
-        within=(0.0, 1000.0),
-    )
-    hidden: bool = option("--hidden", False, "The camera never sees the point, nor a tag on it.")
     duration: float = option("--duration-s", 8.0, "Duration of each simulation.", metavar="S", within=(2.0, 600.0))
 
 
@@ -109,29 +95,15 @@ def loop(
         settings = loop_simulation.trial_settings(camera.fps, camera.delay, asked.k_error, asked.max_force)
         control = controller(beam, goal, push_s=push_at, point_s=point, gravity=weight, settings=settings)
         warn_beyond_learned(learned_from, control.reference.ends)
-        feel = felt_by(
-            asked.felt,
-            control,
-            stiffness=stored.uncertain,
-            setup=learned_from,
-            force_off=asked.force_off,
-            hidden=asked.hidden,
-        )
-        eye = replace(camera, hidden=((0.0, math.inf),)) if asked.hidden else camera
-        trials = tuple(
-            loop_simulation.simulate_trials(
-                control, beams, eye=eye, duration=asked.duration, force_off=asked.force_off, feel=feel
-            )
-        )
+        trials = tuple(loop_simulation.simulate_trials(control, beams, eye=camera, duration=asked.duration))
         known = control.margins()
-        further = {"felt": asked.felt, "force_off_N": asked.force_off, "hidden": asked.hidden}
-        summary = loop_summary(str(model), control, known, trials, further, written_by=BY)
+        summary = loop_summary(str(model), control, known, trials, written_by=BY)
         if output is not None:
             from onebend.report.control_figures import looping  # here: it loads Matplotlib
 
             tables, figures = partial(write_loop, trials=trials), {"loop": lambda: looping(control, trials)}
             common.save_results(output, overwrite, summary, tables, figures, [model_file(model)])
-    common.answer(as_json, summary, lambda console: show_loop(console, control, known, trials, output, further), output)
+    common.answer(as_json, summary, lambda console: show_loop(console, control, known, trials, output), output)
 
 
 EVERY = 10  # of the 101 places

@@ -454,9 +454,6 @@ def _beam_of(session: LiveSession, push_s: float, parameters: bytes) -> PointBea
         alpha0=np.zeros((1, 1)),
         dead_force=np.zeros((1, size, 2)),
         moment=np.zeros((1, size)),
-        follower=none[..., :2],
-        follower_beyond=none,
-        follower_rows=none,
         section=section,
     )
     at_rest = _solved(problem, np.broadcast_to(problem.q0, (1, size)), np.ones(1, dtype=bool))

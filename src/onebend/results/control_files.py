@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from onebend.control.loop_simulation import SETTLED, LoopTrial
 from onebend.control.path import FollowedPath, PathSpread
 from onebend.control.reach import SURE, PredictedError, Reach, ReachInSetUp
 from onebend.control.shape import ShapeResult
-from onebend.control.trajectory_files import write_bag, write_samples, write_yaml
+from onebend.control.trajectory_files import columns, write_bag, write_yaml
 from onebend.results.tables import write_csv
 
 REACH_FORMAT = "onebend-reach-1"
@@ -144,7 +143,8 @@ def path_summary(model: str, way: FollowedPath, sure: PathSpread | None, *, writ
 
 def write_path(folder: Path, way: FollowedPath, *, frame: str, bag: bool) -> None:
     """CSV and ROS 2 YAML; with `bag` also a ROS 2 bag."""
-    write_samples(folder / "path.csv", way)
+    table = columns(way)
+    _rows(folder / "path.csv", tuple(table), tuple(table.values()))
     write_yaml(folder, way, frame=frame)
     if bag:
         write_bag(folder / "bag", way, frame=frame)
@@ -160,15 +160,9 @@ LOOP_COLUMNS = ("k_factor", "time_s", "x_m", "y_m", "asked_x_N", "asked_y_N", "f
 
 
 def loop_summary(
-    model: str,
-    control: Controller,
-    known: Margins,
-    trials: tuple[LoopTrial, ...],
-    further: Mapping[str, object],
-    *,
-    written_by: str,
+    model: str, control: Controller, known: Margins, trials: tuple[LoopTrial, ...], *, written_by: str
 ) -> dict[str, Any]:
-    """`loop --json` and `summary.json`; SI; null is infinite. `further`: other settings."""
+    """`loop --json` and `summary.json`; SI; null is infinite."""
     timing = control.settings.timing
     return {
         "format": LOOP_FORMAT,
@@ -189,7 +183,6 @@ def loop_summary(
             "delay_s": known.delay,
             "softest": known.softest,
         },
-        **further,
         "trials": [
             {
                 "k_factor": trial.factor,

@@ -10,7 +10,7 @@ from hypothesis import assume, given, settings, strategies as st
 
 from onebend.beam.clamped_ends import end_jacobian, end_pose, let_down
 from onebend.beam.continuation import equilibrium
-from onebend.beam.loads import Loads, follow_push, push, twist, weight
+from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, make_problem
 from onebend.beam.statics import gradient, potential
@@ -214,7 +214,6 @@ def test_along_a_smooth_path_nothing_jumps_and_work_is_energy() -> None:
         (lambda: hold(UNIT, [(0.5, 0.0, 0.0), (0.8, 0.8, 0.0)]), "pose 1"),
         (lambda: hold(UNIT, (0.5, 0.0)), "three finite numbers"),
         (lambda: hold(UNIT, (0.5, np.nan, 0.0)), "three finite numbers"),
-        (lambda: hold(UNIT, (0.5, 0.0, 0.0), follow_push((0.0, 1.0))), "follower"),
         (lambda: hold_along(UNIT, np.array([[0.5, 0.0, 0.0]] * 2), push(np.ones((2, 2)))), "one set of loads"),
     ],
 )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from onebend.beam.continuation import equilibrium
-from onebend.beam.dynamics import Actions, AppliedForce, AppliedMoment, Body, body
+from onebend.beam.dynamics import Actions, AppliedForce, Body, body
 from onebend.beam.grid import Modes
 from onebend.beam.integration import IntegrationSettings, Method, Motion, MotionState, converged, simulate
 from onebend.beam.loads import push
@@ -18,7 +18,7 @@ from onebend.beam.stiffness import Scaled, Steps, Uniform
 from onebend.beam.vibration import settle, vibration_of
 from onebend.errors import MechanicsError
 from onebend.records import Array
-from tests.beam.moving import ODD, SOFT, by_the_matrices, odd_body, soft_body
+from tests.beam.moving import ODD, SOFT, by_the_matrices, energy_of, odd_body, soft_body
 
 S = np.array([1.0 / 3.0, 2.0 / 3.0, 1.0])
 PULL = Actions(forces=(AppliedForce((0.0, 3.0 * 0.02 / 0.15)),))  # P L^2 / EI = 3
@@ -34,7 +34,7 @@ def released(n: int = 4) -> tuple[Body, MotionState, float]:
 
 def drift(motion: Motion, period: float) -> tuple[float, float]:
     """Energy, as shares of it: the whole span of its oscillation, and the fitted trend over 1000 periods."""
-    energy = motion.energy / motion.energy[0] - 1.0
+    energy = energy_of(motion) / energy_of(motion)[0] - 1.0
     return float(np.ptp(energy)), float(np.polyfit(motion.time / period, energy, 1)[0] * 1000.0)
 
 
@@ -75,7 +75,6 @@ def test_motion_agrees_with_the_printed_equation(family: str) -> None:
     of = odd_body(3)
     actions = Actions(
         forces=(AppliedForce(lambda t: (0.1 * np.sin(40.0 * t), 0.2), 0.7), AppliedForce((0.0, -0.1))),
-        moments=(AppliedMoment(lambda t: 2e-3 * np.cos(30.0 * t), 0.5),),
         gravity=(2.0, -9.0),
     )
     start = MotionState(np.array([0.3, -0.4, 0.2]), np.array([3.0, 1.0, -2.0]), time=0.02)
@@ -84,9 +83,6 @@ def test_motion_agrees_with_the_printed_equation(family: str) -> None:
     expected = by_the_matrices(of, start, 0.06, actions)
     np.testing.assert_allclose(found.theta[-1], expected[: of.n], atol=2e-8)
     np.testing.assert_allclose(found.rate[-1], expected[of.n :], rtol=1e-6, atol=1e-5)
-    balance = found.energy - found.work + found.loss
-    np.testing.assert_allclose(balance, balance[0], rtol=1e-6)
-    assert found.loss[-1] > 0.01 * found.energy[0]
 
 
 def test_energy_is_kept_within_a_bounded_oscillation() -> None:
@@ -113,10 +109,11 @@ def test_larger_steps_than_the_fastest_modes_do_not_blow_up() -> None:
     step = 0.05 / frequency[0]
     assert step * frequency[-1] > 50.0  # periods of the fastest mode in a step
     keeps = simulate(of, start, 400 * step, step)
-    assert np.max(np.abs(keeps.energy / keeps.energy[0] - 1.0)) < 1e-3
-    loses = simulate(of, start, 400 * step, step, settings=IntegrationSettings(Method(3, "radau")))
-    assert np.all(np.diff(loses.energy) < 1e-9 * loses.energy[0])
-    assert loses.energy[-1] > 0.9 * loses.energy[0]
+    kept = energy_of(keeps)
+    assert np.max(np.abs(kept / kept[0] - 1.0)) < 1e-3
+    left = energy_of(simulate(of, start, 400 * step, step, settings=IntegrationSettings(Method(3, "radau"))))
+    assert np.all(np.diff(left) < 1e-9 * left[0])
+    assert left[-1] > 0.9 * left[0]
 
 
 def test_running_backwards_comes_back_to_the_start() -> None:
@@ -210,13 +207,11 @@ def test_a_force_that_ends_at_a_break_is_followed_to_full_order() -> None:
 def test_converged_motion_is_as_good_as_it_says(tolerance: float) -> None:
     of = soft_body()
     start = settle(of, PULL)
-    found = converged(of, start, 0.2, tolerance=tolerance, step=0.02, settings=IntegrationSettings(every=5))
+    found = converged(of, start, 0.2, tolerance=tolerance, step=0.02)
     assert found.error < tolerance
-    finest = simulate(
-        of, start, 0.2, found.step / 16.0, settings=IntegrationSettings(Method(4), every=16 * found.steps // 2)
-    )
-    assert found.time.tolist() == pytest.approx([0.0, 0.1, 0.2])  # every fifth of ten steps, whatever the halvings
-    assert np.max(np.linalg.norm(found.xy(S) - finest.xy(S), axis=-1)) < found.error
+    finest = simulate(of, start, 0.2, found.step / 16.0, settings=IntegrationSettings(Method(4)))
+    assert found.time.tolist() == pytest.approx(np.linspace(0.0, 0.2, 11).tolist())  # whatever the halvings
+    assert np.max(np.linalg.norm(found.xy(S) - finest.xy(S)[:: 16 * found.steps // 10], axis=-1)) < found.error
 
 
 def test_states_between_steps_are_interpolated_at_fourth_order() -> None:
@@ -242,38 +237,10 @@ def test_nodes_as_coordinates_move_as_many_modes_do() -> None:
     )
 
 
-class Counts:
-    """A `Progress` that remembers."""
-
-    def __init__(self) -> None:
-        self.total: int | None = None
-        self.seen, self.closed = 0, False
-
-    def start(self, stage: str, total: int | None) -> None:
-        assert stage == "motion"
-        self.total = total
-
-    def advance(self, count: int = 1) -> None:
-        self.seen += count
-
-    def done(self) -> None:
-        self.closed = True
-
-
-def test_progress_is_told_and_closed_even_on_failure() -> None:
-    of, counts = soft_body(), Counts()
-    simulate(of, settle(of, PULL), 0.05, 1e-3, settings=IntegrationSettings(progress=counts))
-    assert (counts.total, counts.seen, counts.closed) == (50, 50, True)
-    counts = Counts()
+def test_steps_that_are_too_long_are_an_error() -> None:
+    start = MotionState(np.array([3.0, 1.0, 0.0, 0.0]), np.full(4, 300.0))
     with pytest.raises(MechanicsError, match=r"beyond t = 0 s with steps of 5 s; give a smaller step"):
-        simulate(
-            of,
-            MotionState(np.array([3.0, 1.0, 0.0, 0.0]), np.full(4, 300.0)),
-            10.0,
-            5.0,
-            settings=IntegrationSettings(progress=counts),
-        )
-    assert counts.closed
+        simulate(soft_body(), start, 10.0, 5.0)
 
 
 REST = MotionState(np.zeros(4), np.zeros(4))
@@ -295,7 +262,7 @@ REST = MotionState(np.zeros(4), np.zeros(4))
             ),
             "a force is not finite at t = 0.5",
         ),
-        (lambda: simulate(soft_body(), REST, 1.0, 0.1, Actions((AppliedForce((0.0, 1.0, 2.0)),))), "2 number"),
+        (lambda: simulate(soft_body(), REST, 1.0, 0.1, Actions((AppliedForce((0.0, 1.0, 2.0)),))), "2 numbers"),
         (lambda: Actions((AppliedForce((0.0, 1.0), 1.5),)), r"s in \[0, 1\]"),
         (lambda: Actions(gravity=(0.0, 0.0, -9.81)), "gravity"),
         (lambda: Method(0), "1 to 6 stages"),

@@ -12,16 +12,15 @@ from onebend.beam.continuation import equilibrium, follow
 from onebend.beam.dynamics import Actions, AppliedForce, body, mass_matrix
 from onebend.beam.grid import Modes
 from onebend.beam.integration import MotionState
-from onebend.beam.loads import follow_push, push
+from onebend.beam.loads import push
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, make_problem
-from onebend.beam.section import Material, Rectangle, SectionPart, along
+from onebend.beam.section import rectangular_bar
 from onebend.beam.stiffness import Profile, Uniform, taper
-from onebend.beam.vibration import exponents, settle, vibration, vibration_of
+from onebend.beam.vibration import settle, vibration, vibration_of
 from onebend.errors import MechanicsError
 from tests.beam.moving import ODD, odd_body
 
-STEEL = Material(210e9, 7850.0)
 UNIT = Beam(1.0, Uniform(1.0), mass_per_length=Uniform(1.0))
 UNLOADED = push((0.0, 0.0))
 
@@ -29,7 +28,7 @@ UNLOADED = push((0.0, 0.0))
 def bar(last: float) -> tuple[Beam, Profile]:
     """A square steel bar of 1 m whose side runs from 10 mm to `last`, and its rotary inertia."""
     side = taper(0.01, last)
-    profiles = along((SectionPart(Rectangle(side, side), STEEL),), 1.0)
+    profiles = rectangular_bar(side, side, length=1.0, modulus=210e9, density=7850.0)
     return Beam(1.0, profiles.stiffness, mass_per_length=profiles.mass_per_length), profiles.rotary_inertia
 
 
@@ -107,23 +106,6 @@ def test_shapes_carry_unit_mass_and_move_the_places_as_they_say() -> None:
         moved = of.xy(s, (rest.theta + step)[None])[0] - of.xy(s, (rest.theta - step)[None])[0]
         expected = found.moved(s)[i] / np.linalg.norm(found.shapes[:, i])
         np.testing.assert_allclose(moved / (2.0 * h), expected, atol=1e-9)
-
-
-def test_follower_force_makes_the_column_flutter_at_becks_load() -> None:
-    """Beck 1952: a column under a tangential force keeps stable until P L^2 / EI = 20.05, where two modes meet."""
-
-    def found(load: float) -> np.ndarray:
-        loads = follow_push((-load, 0.0))
-        return exponents(UNIT, follow(make_problem(UNIT, loads, Resolution(20))), count=4)
-
-    free = found(0.0)
-    np.testing.assert_allclose(free.real, 0.0, atol=1e-6)
-    np.testing.assert_allclose(free.imag, 2.0 * np.pi * vibration(UNIT, equilibrium(UNIT, UNLOADED), count=4).frequency)
-    assert np.max(found(20.04).real) < 1e-3
-    assert np.max(found(20.06).real) > 0.1
-    assert abs(found(20.06)[0].imag) > 10.0
-    with pytest.raises(MechanicsError, match="exponents"):
-        vibration(UNIT, equilibrium(UNIT, follow_push((-1.0, 0.0))))
 
 
 def test_one_frame_of_a_batch() -> None:

@@ -12,13 +12,13 @@ from onebend.beam.section import (
     mean_moment,
     moment_errors,
     one_modulus,
-    polygon_moments,
     relative_moment,
     second_moment,
     section_as_dict,
     section_from_dict,
 )
 from onebend.beam.stiffness import UncertainStiffness, Uniform
+from onebend.errors import MechanicsError
 from onebend.records import Array, StatedSection
 
 PLACES = np.array([0.0, 0.4, 0.4, 1.0])
@@ -34,12 +34,18 @@ SECTIONS = {
 AT, HERE, THERE = np.array([0.2, 0.7]), np.array([0.0105, 0.0055]), np.array([0.0055, 0.0035])  # halfway
 
 
+def second_moment_of(corners: Array) -> float:
+    """m^4 about the centroid, of a polygon around the origin with corners (N, 2) (y, z), by Green's theorem."""
+    (y, z), (y1, z1) = corners.T, np.roll(corners, -1, axis=0).T
+    return float(abs(np.sum((y * z1 - y1 * z) * (y**2 + y * y1 + y1**2)) / 12.0))
+
+
 def by_hand(name: str) -> Array:
     """m^4, at AT."""
     if name == "hexagon":  # as the integral over its area, flats up
         turns = np.pi / 3.0 * np.arange(6)
         corners = [[(d / np.sqrt(3) * np.sin(t), d / np.sqrt(3) * np.cos(t)) for t in turns] for d in HERE]
-        return np.array([polygon_moments(tuple(each))[2] for each in corners])
+        return np.array([second_moment_of(np.array(each)) for each in corners])
     moments: dict[str, Array] = {
         "rectangle": 2.0 * THERE * HERE**3 / 12.0,
         "circle": np.pi / 64.0 * HERE**4,
@@ -71,6 +77,13 @@ def test_errors_of_the_sizes_are_those_of_differences(name: str) -> None:
         np.testing.assert_allclose(moment_errors(one, AT)[:, i], one.sd * slope, rtol=1e-6)
     assert moment_errors(one, AT).shape == (2, len(sizes))
     assert moment_errors(replace(one, sd=np.nan), AT).shape == (2, 0)
+
+
+def test_sizes_that_make_no_section_are_refused() -> None:
+    with pytest.raises(MechanicsError, match="inner diameter"):
+        second_moment(replace(SECTIONS["tube"], inner=1.1 * SIZE), AT)
+    with pytest.raises(MechanicsError, match=r"positive, got 0 m at s = 0\.2"):
+        second_moment(replace(SECTIONS["circle"], sd=0.0, thickness=0.0 * SIZE), AT)
 
 
 def test_the_shape_is_i_over_its_mean_with_its_steps() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from onebend.beam.continuation import equilibrium, follow
-from onebend.beam.loads import Loads, follow_push, push, twist, weight
+from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution
 from onebend.beam.stiffness import LogSpline, Powers, Steps, Uniform
@@ -28,7 +28,6 @@ FORCES = np.stack([0.4 * np.cos(np.linspace(0.0, 3.0, 6)), 0.5 * np.sin(np.linsp
 CASES = {
     "forces": (BEAM, push(FORCES)),
     "weight, moment and a force within": (BEAM, push((0.1, 0.3), 0.7) + weight((1.0, -9.7)) + twist(0.01, 0.55)),
-    "a follower": (BEAM, follow_push((-0.1, 0.2), 0.9)),
     "stretch and shear": (replace(BEAM, thickness=0.012), push(FORCES)),
     "twelve steps": (
         Beam(0.15, Steps(tuple(np.linspace(0.0, 1.0, 13)), tuple(0.02 * np.exp(0.3 * RNG.standard_normal(12))))),

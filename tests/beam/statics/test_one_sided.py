@@ -8,7 +8,7 @@ from hypothesis import given, settings, strategies as st
 
 from onebend.beam.branches import stable_equilibria
 from onebend.beam.continuation import ContinuationSettings, at_once, equilibrium, follow, on_one_side
-from onebend.beam.loads import Loads, follow_push, push, twist, weight
+from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, make_problem
 from onebend.beam.statics import node_angles
@@ -71,7 +71,6 @@ def test_of_all_stable_equilibria_one_is_between_rest_and_the_forces(beam: Beam)
 @pytest.mark.parametrize(
     "loads",
     [
-        follow_push((0.0, 1.0)),
         push((0.0, 1.0)) + twist(0.1, 0.5),
         push((0.0, 1.0)) + push((0.0, -2.0), 0.5),
         push((-3.0, 0.0)),
@@ -79,7 +78,7 @@ def test_of_all_stable_equilibria_one_is_between_rest_and_the_forces(beam: Beam)
         push((3.0 * np.cos(np.pi), 3.0 * np.sin(np.pi))),
         Loads(),
     ],
-    ids=["follower", "moment", "two sides", "axial", "axial but for rounding", "axial by its angle", "nothing"],
+    ids=["moment", "two sides", "axial", "axial but for rounding", "axial by its angle", "nothing"],
 )
 def test_of_other_loads_nothing_is_said(loads: Loads) -> None:
     assert on_one_side(make_problem(BEAMS["uniform"], loads))[0].size == 0

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from onebend.beam.continuation import equilibrium
-from onebend.beam.loads import Loads, follow_push, push, twist, weight
+from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution
 from onebend.beam.sensitivity import (
     Perturbations,
-    clamp_wrench,
     of_clamp_angle,
     of_force,
     of_mass,
@@ -25,6 +24,7 @@ from onebend.beam.sensitivity import (
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Gaussians, Powers, Table, Uniform, equidistant, gaussian_basis, power_basis
 from onebend.records import Array
+from tests.beam.wrench import clamp_wrench
 
 S = np.array([0.3, 0.62, 1.0])
 CENTRES, WIDTH = equidistant(3), 0.4
@@ -72,26 +72,24 @@ def differences(quantity: Callable[[Equilibrium], Array], loads: Loads) -> Array
     return np.stack(columns, axis=-1)
 
 
-@pytest.mark.parametrize("loads", [Loads(), follow_push((-0.05, 0.1), 1.0)], ids=["dead", "follower"])
-def test_positions_and_angles_for_all_parameters_at_once(loads: Loads) -> None:
-    solved = made(np.zeros(len(SCALE)), loads)
+def test_positions_and_angles_for_all_parameters_at_once() -> None:
+    solved = made(np.zeros(len(SCALE)), Loads())
     response = respond(solved, all_changes(solved))
     for exact, quantity in (
         (response.xy(S), lambda e: e.xy(S)),
         (response.angle(S), lambda e: e.angle(S)),
     ):
-        expected = differences(quantity, loads)
+        expected = differences(quantity, Loads())
         np.testing.assert_allclose(
             exact * SCALE, expected * SCALE, atol=1e-9 * np.max(np.abs(expected * SCALE)) + 1e-12
         )
 
 
-@pytest.mark.parametrize("loads", [Loads(), follow_push((-0.05, 0.1), 1.0)], ids=["dead", "follower"])
 @pytest.mark.parametrize("at", [0.8, np.array([0.8, 0.7])], ids=["one grid", "a grid a frame"])
-def test_solved_for_the_quantities_or_for_the_parameters(loads: Loads, at: float | Array) -> None:
+def test_solved_for_the_quantities_or_for_the_parameters(at: float | Array) -> None:
     """The adjoint way, taken where fewer quantities than parameters are asked for, against all of dq/dp."""
     beam = Beam(0.15, Gaussians(CENTRES, WIDTH, tuple(HEIGHTS)), Powers((0.2, 0.1)), 0.1, Powers((0.3, 0.2)))
-    solved = equilibrium(beam, push([(0.0, 0.2), (0.1, 0.2)], at) + weight(GRAVITY) + loads, resolution=FINE)
+    solved = equilibrium(beam, push([(0.0, 0.2), (0.1, 0.2)], at) + weight(GRAVITY), resolution=FINE)
     nodes = solved.problem.grid.nodes
     change = (
         of_stiffness(solved, gaussian_basis(nodes, CENTRES, WIDTH))
@@ -107,13 +105,6 @@ def test_solved_for_the_quantities_or_for_the_parameters(loads: Loads, at: float
     np.testing.assert_allclose(adjoint.angle(S[:2]), seen[:, :, 2], atol=1e-12 * np.max(np.abs(seen)))
     by_hand = solved.problem.grid.integral_to(S[:2]) @ direct.q + change.clamp
     np.testing.assert_allclose(seen[:, :, 2], by_hand, atol=1e-12 * np.max(np.abs(by_hand)))
-
-
-def test_clamp_wrench_and_its_derivative() -> None:
-    solved = made(np.zeros(len(SCALE)), Loads())
-    exact = respond(solved, all_changes(solved)).clamp_wrench()
-    expected = differences(clamp_wrench, Loads())
-    np.testing.assert_allclose(exact * SCALE, expected * SCALE, atol=1e-8 * np.max(np.abs(expected * SCALE)))
 
 
 def test_clamp_wrench_balances_the_loads() -> None:

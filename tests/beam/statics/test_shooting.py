@@ -15,7 +15,6 @@ from onebend.beam.model import Beam
 from onebend.beam.problem import Problem, Resolution, make_problem
 from onebend.beam.statics import gradient, is_convex, is_stable
 from onebend.beam.stiffness import Table, Uniform
-from onebend.errors import MechanicsError
 from onebend.records import Array
 from tests.beam.turned_chain import Cable, Chain
 
@@ -113,12 +112,6 @@ def test_a_turned_bench_is_the_same_bench() -> None:
     force = problem.dead_force @ np.array([[cos, sin], [-sin, cos]])
     turned = replace(problem, dead_force=force, alpha0=problem.alpha0 + turn)
     np.testing.assert_allclose(stable_equilibria(problem)[0], stable_equilibria(turned)[0], atol=1e-9)
-
-
-def test_followers_are_refused() -> None:
-    loads = Loads(follower=np.ones((1, 1, 2)), follower_s=np.ones((1, 1)))
-    with pytest.raises(MechanicsError, match="follower"):
-        stable_equilibria(make_problem(BEAM, loads))
 
 
 def test_where_the_energy_is_convex_there_is_one() -> None:

@@ -14,7 +14,7 @@ from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers, Scaled, Uniform
 from onebend.cli import app
 from onebend.control.loop import ControllerSettings, controller
-from onebend.control.loop_simulation import AXIS_PLACES, LoopCamera, drawn_beams, simulate_range, simulate_trials
+from onebend.control.loop_simulation import AXIS_PLACES, LoopCamera, drawn_beams, simulate_trials, wrong_beams
 from onebend.errors import ControlError
 from onebend.results.model import save_model
 from tests import made_up
@@ -28,7 +28,9 @@ def test_feedback_takes_off_what_a_wrong_stiffness_leaves() -> None:
     closed = controller(BEAM, GOAL)
     open_loop = controller(BEAM, GOAL, settings=ControllerSettings(feedback=False))
     eye = LoopCamera(noise=0.0)
-    good, bad = (simulate_range(one, eye=eye, duration=3.0) for one in (closed, open_loop))
+    good, bad = (
+        tuple(simulate_trials(one, wrong_beams(BEAM, 0.3), eye=eye, duration=3.0)) for one in (closed, open_loop)
+    )
     assert [one.factor for one in good] == [1.0, 0.7, 1.3]
     assert max(one.steady for one in good) < 3e-4
     assert bad[0].steady < 1e-4
@@ -41,15 +43,15 @@ def test_feedback_takes_off_what_a_wrong_stiffness_leaves() -> None:
 
 def test_a_beam_of_unknown_mass_is_given_one() -> None:
     light = Beam(BEAM.length, BEAM.stiffness)
-    (only,) = simulate_range(controller(light, GOAL), k_error=0.0, eye=LoopCamera(noise=0.0), duration=2.5)
+    (only,) = simulate_trials(controller(light, GOAL), wrong_beams(light, 0.0), eye=LoopCamera(noise=0.0), duration=2.5)
     assert only.factor == 1.0
     assert only.steady < 1e-3
 
 
-@pytest.mark.parametrize("asked", [{"k_error": 1.0}, {"k_error": -0.1}, {"duration": 1.0}])
-def test_what_cannot_be_rehearsed_is_refused(asked: dict[str, float]) -> None:
+@pytest.mark.parametrize(("k_error", "duration"), [(1.0, 8.0), (-0.1, 8.0), (0.3, 1.0)])
+def test_what_cannot_be_rehearsed_is_refused(k_error: float, duration: float) -> None:
     with pytest.raises(ControlError):
-        simulate_range(controller(BEAM, GOAL), **asked)  # type: ignore[arg-type]
+        next(simulate_trials(controller(BEAM, GOAL), wrong_beams(BEAM, k_error), duration=duration))
 
 
 def test_gravity_needs_a_mass(tmp_path: Path) -> None:

@@ -14,8 +14,9 @@ from ruamel.yaml import YAML
 from onebend.control.goals import Goals, curve, read_goals, read_targets
 from onebend.control.path import FollowedPath, PathSettings, follow_goals
 from onebend.control.shape import Grip, Pusher
-from onebend.control.trajectory_files import write_bag, write_samples, write_yaml
+from onebend.control.trajectory_files import write_bag, write_yaml
 from onebend.errors import ControlError
+from onebend.results.control_files import write_path
 from tests.control.shape.test_shape import SOFT, S, gripped
 
 
@@ -28,7 +29,7 @@ def way() -> FollowedPath:
 
 
 def test_csv_comes_back(way: FollowedPath, tmp_path: Path) -> None:
-    write_samples(tmp_path / "path.csv", way)
+    write_path(tmp_path, way, frame="table", bag=False)
     with (tmp_path / "path.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == len(way.time) == 51

@@ -17,7 +17,7 @@ from onebend.beam.model import Beam
 from onebend.beam.problem import make_problems
 from onebend.beam.stiffness import UncertainStiffness, Uniform
 from onebend.cli import app
-from onebend.control.reach import ReachSettings, WarmReach, predicted_error, reach
+from onebend.control.reach import predicted_error, reach
 from onebend.control.reach_set import reachable
 from onebend.errors import ControlError
 from onebend.report.control_figures import reaching
@@ -83,35 +83,6 @@ def test_a_common_scale_moves_the_point_as_more_force_would() -> None:
     assert np.all(predicted_error(BEAM, sure, found, draws=0, same_sensor=True).covariance == 0.0)
     with pytest.raises(ControlError, match="one model"):
         predicted_error(Beam(0.15, Uniform(0.02)), BAND, found)
-
-
-def test_warm_goals_agree_with_cold_ones_and_give_the_jacobian() -> None:
-    warm = WarmReach(BEAM, point_s=1.0)
-    routes = []
-    for turn in np.linspace(0.0, 3.0, 12):
-        force = np.array([0.03 * np.cos(turn), 0.18 + 0.03 * np.sin(turn)])
-        hold = warm.solve(BEAM.equilibrium(force).xy(1.0))
-        routes.append(hold.route)
-        np.testing.assert_allclose(hold.force, force, rtol=1e-4, atol=1e-5)
-    assert routes == ["rest"] + ["warm"] * 11
-    step = 1e-4 * np.array([0.3, 1.0])
-    moved = BEAM.equilibrium(hold.force + step).xy(1.0) - BEAM.equilibrium(hold.force - step).xy(1.0)
-    np.testing.assert_allclose(warm.jacobian @ step, moved / 2, rtol=1e-3)
-
-
-def test_warm_reach_refuses_and_stays() -> None:
-    warm = WarmReach(BEAM, settings=ReachSettings(max_force=0.25))
-    with pytest.raises(ControlError, match="no goal has been reached"):
-        _ = warm.jacobian
-    warm.solve(GOAL)
-    before = warm.point
-    with pytest.raises(ControlError, match="cannot be put"):
-        warm.solve((0.2, 0.0))
-    with pytest.raises(ControlError, match="out of bounds"):
-        warm.solve(BEAM.equilibrium((0.0, 0.3)).xy(1.0))
-    np.testing.assert_array_equal(warm.point, before)
-    with pytest.raises(ControlError, match="take `reach`"):
-        WarmReach(BEAM, settings=ReachSettings(direction=1.0))
 
 
 def test_pictures_show_force_goal_and_ellipse() -> None:

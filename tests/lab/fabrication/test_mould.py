@@ -255,7 +255,7 @@ def test_a_draft_that_closes_the_cavity_is_refused() -> None:
 def test_a_picture_shows_the_sides_that_are_seen() -> None:
     """A box from above, in front and at its side: three faces of six, whose areas are those of the projection."""
     mesh = mesh_of(box((0.0, 0.0, 0.0), (3.0, 2.0, 1.0)))
-    polygons = np.array([path.vertices[:3] for path in faces_of(PrintedPart("box", mesh)).get_paths()])
+    polygons = np.array([np.asarray(path.vertices)[:3] for path in faces_of(PrintedPart("box", mesh)).get_paths()])
     assert len(polygons) == 6
     edges = polygons[:, 1:] - polygons[:, :1]
     areas = 0.5 * np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
