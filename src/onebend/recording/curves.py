@@ -38,8 +38,8 @@ def curve_rows(table: Columns, otherwise: str = "") -> BoolArray:
         table.refuse(order & ~np.isfinite(table.get(name)), f"a vertex of a curve needs {name}.")
     if otherwise and not order.any():
         raise ObservationError(
-            f"{table.path}: recording.toml names no point on the beam, and there is no curve here. Add {otherwise} with "
-            "id and s, or a column order: vertices of the body's curve, numbered from the clamp to the tip."
+            f"{table.path}: recording.toml names no point on the beam, and there is no curve here. Add {otherwise} "
+            "with id and s, or a column order: vertices of the body's curve, numbered from the clamp to the tip."
         )
     return np.asarray(order)
 
@@ -59,6 +59,14 @@ def vertices_of(
     out = np.full((count, int(number.max(initial=-1)) + 1, len(columns)), np.nan)
     out[here, number] = np.stack([table.get(name)[rows] for name in columns], axis=1)
     return out
+
+
+def stated_sd(table: Columns, drawn: BoolArray, frame: IntArray, count: int, otherwise: float) -> Array:
+    """(T,) m, one sd of a vertex in each of `count` frames, as sd_m says, or `otherwise`; rows as of `vertices_of`."""
+    sd = np.full(count, otherwise)
+    said = drawn & np.isfinite(table.get("sd_m"))
+    sd[frame[said]] = table.get("sd_m")[said]
+    return sd
 
 
 def points_on(vertices: Array, length: float, name: str, origin: Array | None = None) -> CurvePoints:

@@ -11,7 +11,7 @@ from typing import NoReturn
 import numpy as np
 
 from onebend.errors import ObservationError, RecordingError
-from onebend.recording.curves import curve_rows, points_on, vertices_of
+from onebend.recording.curves import curve_rows, points_on, stated_sd, vertices_of
 from onebend.recording.entries import Axes, PosesEntry, Recording
 from onebend.recording.force_log import refuse_other_unit, size_remarks
 from onebend.recording.outline import PLACES, POINTS
@@ -451,11 +451,10 @@ def _with_curves(
     if entry.axes == "room":
         vertices = turned(vertices, loads.clamp[:, None])
     curve = points_on(vertices, rec.beam.length, rec.name)
-    sd = np.full(len(loads.names), entry.sd)
-    sd[pose[drawn]] = np.where(np.isfinite(table.get("sd_m")[drawn]), table.get("sd_m")[drawn], entry.sd)
+    sd = stated_sd(table, drawn, pose, len(loads.names), entry.sd)
     known = bool(np.isfinite(sd[np.unique(pose[drawn])]).all())
     variance = np.where(np.isfinite(sd), sd, GUESSED_SD * rec.beam.length)[:, None, None, None] ** 2
-    joined = PosePoints(
+    return PosePoints(
         tag_id=np.append(points.tag_id, POINT_ID + np.arange(POINTS)),
         s=np.append(points.s, PLACES),
         xy=np.concatenate([points.xy, curve.xy], axis=1),
@@ -467,7 +466,6 @@ def _with_curves(
         remarks=points.remarks,
         traced=np.arange(len(points.s) + POINTS) >= len(points.s),
     )
-    return joined
 
 
 def _check_held(rec: Recording, loads: PoseLoads, points: PosePoints) -> None:

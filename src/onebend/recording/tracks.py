@@ -12,7 +12,7 @@ import numpy as np
 
 from onebend.errors import ObservationError, RecordingError
 from onebend.recording.camera import MOVED, RUNNING, lengths_apart, order_hint, rotated, running_median, unwrap
-from onebend.recording.curves import curve_rows, points_on, vertices_of
+from onebend.recording.curves import curve_rows, points_on, stated_sd, vertices_of
 from onebend.recording.entries import FrequencyEntry, GravityEntry, Recording
 from onebend.recording.force import ContactSettings, find_contact
 from onebend.recording.outline import PLACES, POINTS
@@ -267,9 +267,7 @@ def read_tracks(rec: Recording) -> Tracks:
     )
     if not drawn.any():
         return tracks
-    own = np.full(len(times), entry.sd)
-    own[frame[drawn]] = np.where(np.isfinite(table.get("sd_m")[drawn]), table.get("sd_m")[drawn], entry.sd)
-    return _with_curve(rec, tracks, plane.lay(vertices), own)
+    return _with_curve(rec, tracks, plane.lay(vertices), stated_sd(table, drawn, frame, len(times), entry.sd))
 
 
 def _with_curve(rec: Recording, tracks: Tracks, vertices: Array, sd: Array) -> Tracks:

@@ -44,14 +44,14 @@ def filmed() -> tuple[Array, Array, Array]:
     return time, xy.reshape(len(time), len(S), 2), angle
 
 
-def film_folder(folder: Path, *, keep: Array = np.arange(len(S)), markers: str = "", rows: str = "") -> Path:
-    """The push of `Pushed` as a tracker's curves through the vertices `keep`, in a plane of its own."""
+def film_folder(folder: Path, *, markers: str = "", rows: str = "") -> Path:
+    """The push of `Pushed` as a tracker's curves, in a plane of its own."""
     folder.mkdir(exist_ok=True)
     time, xy, _ = filmed()
     turn = np.array([[np.cos(TURN), np.sin(TURN)], [-np.sin(TURN), np.cos(TURN)]])
     seen = (xy + NOISE * np.random.default_rng(0).normal(size=xy.shape)) @ turn + SHIFT
     lines = ["time_s,id,order,x_m,y_m"]
-    for t, curve in zip(time, seen[:, keep], strict=True):
+    for t, curve in zip(time, seen, strict=True):
         lines += [f"{t:.6f},,{i},{x:.8f},{y:.8f}" for i, (x, y) in enumerate(curve.tolist())]
     (folder / "curves.csv").write_text("\n".join(lines) + f"\n{rows}")
     write_log(folder, PUSHED)
