@@ -384,7 +384,7 @@ SHARES = np.array([0.25, 0.5, 0.25])  # of the widths below
 WIDTHS = np.array([1.05, 1.25, 1.6])  # of a patch over the tag's black square: a printed tag has a rim of one cell
 # (3, 3) of patches of these widths: the expected one, and principal parts of the others: `SHARES - SHARES SHARES'`
 _BY_WIDTH = np.column_stack([SHARES, 0.5**1.5 * np.array([1.0, 0.0, -1.0]), 0.25 * np.array([1.0, -2.0, 1.0])])
-_THIN = 0.01  # of `PATCH_SD`: a smaller factor hardly counts
+_THIN = 0.1  # of `PATCH_SD`: a label that is glued on changes the stiffness of a soft body by a few percent at least
 USUAL_SIZE = 0.08  # of the length: a tag's black square where nobody says its size
 _USUAL_WIDTHS = np.array([0.8, 1.25, 1.9])  # over `USUAL_SIZE`
 _SOFT = 0.04  # of half a width: its edge in s

@@ -184,6 +184,12 @@ def rows_of(estimate: MapEstimate) -> list[ResidualRows]:
     return list(each(residual_rows, estimate.predictions, estimate.hyperparameters.noise))
 
 
+def evidence_at(problem: FitProblem, estimate: MapEstimate) -> Evidence:
+    """Of the model that is linear about an estimate, with its noise."""
+    information = data_information(problem, rows_of(estimate), estimate.x, estimate.hyperparameters)
+    return Evidence(problem, information)
+
+
 def with_own_forces(estimate: MapEstimate) -> MapEstimate:
     """The estimate with each frame's own force at its most probable value; unchanged without equilibrium there."""
 
@@ -500,7 +506,7 @@ def find_maximum(
 def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: OptimizerSettings) -> Optimum:
     """The posterior around the maximum, averaged over the hyperparameters that the data leave open."""
     hyperparameters = estimate.hyperparameters
-    evidence = Evidence(problem, data_information(problem, rows_of(estimate), estimate.x, hyperparameters))
+    evidence = evidence_at(problem, estimate)
     clear_slopes(estimate)
     sizes, log_evidence = _likely(evidence, hyperparameters), evidence.posterior(hyperparameters).log_evidence
     stiffness, covariance = averaged_posterior(evidence, hyperparameters, sizes)
