@@ -21,7 +21,7 @@ from scipy.interpolate import PchipInterpolator
 from onebend.errors import ObservationError, RecordingError
 from onebend.progress import Progress, Silent, track
 from onebend.recording.beam_frame import MOUNTING_SD, to_beam_frame
-from onebend.recording.camera import measure_markers, points_in_plane, project, to_plane, view_of
+from onebend.recording.camera import lay_square, measure_markers, points_in_plane, project, to_plane, view_of
 from onebend.recording.entries import Recording
 from onebend.recording.outline import (
     MEASURED,
@@ -203,8 +203,8 @@ def measured(
         some = replace(detections, time=detections.time[part], corners=detections.corners[part])
         one = measure_markers(some, rec)
         if trace is not None:
-            assert one.view is not None
-            one = measure_markers(some, rec, joined([trace(i, one.view) for i in range(count)[part]]))
+            views = zip(range(count)[part], base_views(rec, one, some.corners[:, 0]), strict=True)
+            one = measure_markers(some, rec, joined([trace(i, view) for i, view in views]))
         found.append(with_camera_as_noise(one))
     remarks = {remark.text: remark for one in found for remark in one.remarks}.values()
     return replace(
@@ -216,6 +216,15 @@ def measured(
         base_angle=np.concatenate([one.base_angle for one in found]),
         remarks=tuple(remarks),
     )
+
+
+def base_views(rec: Recording, markers: Markers, corners: Array) -> list[View]:
+    """The view of the first base tag's plane and frame in each picture, by its corners (P, 4, 2) px; where hidden,
+    as in the first."""
+    assert markers.view is not None
+    xy, angle = lay_square(to_plane(markers.view, corners))
+    xy, angle = np.nan_to_num(xy), np.nan_to_num(angle - rec.tags.on_base[0].turn)
+    return [view_of(markers.view, *one) for one in zip(xy, angle.tolist(), strict=True)]
 
 
 def with_camera_as_noise(markers: Markers) -> Markers:
@@ -470,7 +479,12 @@ def along(sight: Sight, stations: Stations, state: Array, shown: BoolArray, name
     """
     pieces = np.array_split(np.flatnonzero(shown), PIECES)
     middle = np.array([float(np.mean(stations.s[piece])) for piece in pieces])
-    half, clicked = np.full(stations.count, np.nan), state
+    half, clicked, usual = np.full(stations.count, np.nan), state, math.nan
+
+    def strays(new: Array) -> bool:
+        """Whether a curve lies farther from the clicks than the body is wide."""
+        return not np.max(np.abs(stations.across(stations.curve(clicked)) @ (new - clicked))[shown]) <= usual
+
     for _ in range(ROUNDS):
         curve = stations.curve(state)
         parts = (np.isin(np.arange(stations.count), piece) for piece in pieces)
@@ -483,14 +497,14 @@ def along(sight: Sight, stations: Stations, state: Array, shown: BoolArray, name
         off = np.interp(stations.s, middle[well], 0.5 * (sides[well, 0] - sides[well, 1]))
         half[:], sd = 0.5 * usual, CLICKED / float(np.median(sight.outward(curve)[1]))
         new = stations.fitted(state, np.where(shown, off, np.nan), sd)
-        if np.max(np.abs(stations.across(stations.curve(clicked)) @ (new - clicked))[shown]) > usual:
-            break  # farther from the clicks than the body is wide
+        if strays(new):
+            break
         state = new
     step = edge_size(sight, stations.curve(state), half, shown) if np.isfinite(half).all() else 0.0
     body = refined(sight, stations, state, half, shown, step)
     for _ in range(ROUNDS):
         body = None if body is None else refined(sight, stations, body.state, body.half, shown, step)
-    if body is not None:
+    if body is not None and not strays(body.state):
         return body
     raise ObservationError(
         f"{name}: no body is seen along the clicks: no two edges run beside them. Are they of this picture, upright as "
