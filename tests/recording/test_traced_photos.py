@@ -18,6 +18,7 @@ from onebend.beam.problem import make_problem
 from onebend.beam.stiffness import Uniform
 from onebend.errors import ObservationError, OnebendError
 from onebend.learning.posterior import fit
+from onebend.learning.validation import validate
 from onebend.recording.camera import project
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe
@@ -26,6 +27,7 @@ from onebend.recording.template import write_template
 from onebend.records import Array, View
 from onebend.report.figures import check_png
 from onebend.report.overview import overview
+from onebend.report.verdict import validation_verdict
 from tests.recording.filmed import HEIGHT, SIZE, WIDTH, picture, view
 
 LENGTH, MASS, K, HALF = 0.12, 0.02, 0.011, 0.003
@@ -188,6 +190,13 @@ def test_a_curve_that_ends_before_the_last_click_is_refused(tmp_path: Path) -> N
     image[:, int(cut[0]) :] = GROUND
     with pytest.raises(ObservationError, match="edges end before its tip"):
         observe(folder_of(tmp_path / "cut", Image.fromarray(image), LEVEL))
+
+
+def test_a_photo_alone_validates_a_beam(tmp_path: Path) -> None:
+    """A pose alone has no motion: a miss is counted from the straight beam."""
+    o = observe(folder_of(tmp_path / "one", painted(LEVEL), LEVEL))
+    said = validation_verdict([validate(Beam(LENGTH, Uniform(K), mass_per_length=Uniform(MASS / LENGTH)), o)])
+    assert "shapes are predicted to" in said
 
 
 def test_check_draws_the_curve_on_the_photo(tmp_path: Path) -> None:
