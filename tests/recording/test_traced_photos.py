@@ -22,7 +22,7 @@ from onebend.learning.validation import validate
 from onebend.recording.camera import project
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe
-from onebend.recording.photos import level_view, traced_photos
+from onebend.recording.photos import level_view, photo_observations
 from onebend.recording.template import write_template
 from onebend.records import Array, View
 from onebend.report.figures import check_png
@@ -96,7 +96,7 @@ def test_a_level_view_is_a_plain_similarity() -> None:
 @pytest.mark.parametrize("off", [0.0, 3.0])
 def test_the_curve_lies_on_the_body_and_k_follows_from_its_weight(tmp_path: Path, off: float) -> None:
     folder = folder_of(tmp_path / "one", painted(LEVEL), LEVEL, off=off)
-    o, (curve,) = traced_photos(read_recording(folder))
+    o, (curve,) = photo_observations(read_recording(folder))
     true = project(LEVEL, shape()[0])
     away = np.linalg.norm(curve.px[0][:, None] - true, axis=2).min(axis=1)[np.isfinite(curve.sd[0])]
     assert len(away) >= 27
@@ -112,7 +112,7 @@ def test_the_scale_is_the_bodys_own_length(tmp_path: Path) -> None:
     """The same body in a picture three times as large, which is made smaller before its edges are looked for."""
     large = level_view(3.0 * ORIGIN, 3.0 * SCALE, TURN)
     image = painted(large, size=(3 * WIDTH, 3 * HEIGHT))
-    o, _ = traced_photos(read_recording(folder_of(tmp_path / "large", image, large)))
+    o, _ = photo_observations(read_recording(folder_of(tmp_path / "large", image, large)))
     seen = np.isfinite(o.xy[0, :, 0])
     assert float(np.max(np.linalg.norm(o.xy[0, :, None] - shape()[0], axis=2).min(axis=1)[seen])) < 2e-4
 
