@@ -6,12 +6,12 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar, cast
+from typing import Generic, TypeVar, cast
 
 from onebend.errors import RecordingError
 from onebend.live import force_sensors
 from onebend.live.cameras import PACKED, STREAMS, AvCamera, CameraSettings, RealSenseCamera, Stream, V4l2Camera
-from onebend.live.played import Disturbances, OwnClock, played_camera, played_force
+from onebend.live.played import played_camera, played_force
 from onebend.live.sources import CameraSource, ForceSource
 from onebend.text_files import QUOTED
 
@@ -31,11 +31,10 @@ class SourceKind(Generic[Made]):
     make: Callable[[str, Options], Made]
 
 
-MOST_LATE, MOST_DRIFT = 60_000.0, 100_000.0  # ms and ppm, of what is played
-MOST_SEED, MOST_START, MOST_COUNTS = 2**53, 1e12, 1e12
+LONGEST_EXPOSURE = 60_000.0  # ms
+MOST_START, MOST_COUNTS = 1e12, 1e12
 MOST_SIDE = MOST_PORT = 65_535  # px, and of a port
 MOST_RATE, MOST_FPS = 1e6, 100_000.0  # Hz
-_ON_THE_WAY = ("lost", "late", "jitter_ms", "drift_ppm", "seed")
 
 
 def camera_of(spec: str) -> CameraSource:
@@ -94,28 +93,9 @@ def made(spec: str, kinds: Mapping[str, SourceKind[Made]], option: str) -> Made:
     return kinds[kind].make(place, options)
 
 
-def _on_the_way(options: Options) -> dict[str, Any]:
-    """What happens to frames or samples that are played, as arguments of `played_camera` and `played_force`."""
-    lost, late = (number(options, key, 0.0, least=0.0, most=1.0) for key in ("lost", "late"))
-    jitter = 1e-3 * number(options, "jitter_ms", 0.0, least=0.0, most=MOST_LATE)
-    drift = 1e-6 * number(options, "drift_ppm", 0.0, least=-MOST_DRIFT, most=MOST_DRIFT)
-    return {
-        "disturbances": Disturbances(
-            frames_lost=lost,
-            frames_late=late,
-            frame_jitter=jitter,
-            samples_lost=lost,
-            samples_late=late,
-            sample_jitter=jitter,
-        ),
-        "own": OwnClock(drift=drift, late=jitter),
-        "seed": int(number(options, "seed", 0, least=0, most=MOST_SEED)),
-    }
-
-
 def _log(place: str, options: Options) -> ForceSource:
     start = number(options, "start_s", math.nan, least=-MOST_START, most=MOST_START)
-    return played_force(Path(place), start=start, **_on_the_way(options))
+    return played_force(Path(place), start=start)
 
 
 def _ati(place: str, options: Options) -> ForceSource:
@@ -133,21 +113,12 @@ def _names(options: Options, key: str) -> list[str]:
     return [name for name in options.get(key, "").split("/") if name]
 
 
-def _cells(where: str, options: Options, wanted: str) -> force_sensors.Cells:
-    if "columns" not in options:
-        raise RecordingError(f"{where}: say {wanted}. {force_sensors.KNOWN}.")
-    return force_sensors.cells_of(_names(options, "columns"), _names(options, "zero"), where=where)
-
-
 def _serial(place: str, options: Options) -> ForceSource:
-    cells = _cells(f"serial:{place}", options, "what a line holds, as columns=time_ms/fx_N/fy_N")
+    where = f"serial:{place}"
+    if "columns" not in options:
+        raise RecordingError(f"{where}: say what a line holds, as columns=time_ms/fx_N/fy_N. {force_sensors.KNOWN}.")
+    cells = force_sensors.cells_of(_names(options, "columns"), _names(options, "zero"), where=where)
     return force_sensors.SerialForce(Path(place), cells, baud=int(number(options, "baud", 115200, least=50, most=1e8)))
-
-
-def _lsl(place: str, options: Options) -> ForceSource:
-    return force_sensors.LslForce(
-        place, _cells(f"lsl:{place}", options, "what its channels are, as columns=fx_N/fy_N/_")
-    )
 
 
 def _size(options: Options, default: str) -> tuple[int, int]:
@@ -166,7 +137,7 @@ def _camera(options: Options, *, least_fps: float) -> CameraSettings:
         if value not in known:
             raise RecordingError(f"{key}={value}: take one of {', '.join(known)}.")
     fps = number(options, "fps", asked.fps, least=least_fps, most=MOST_FPS)
-    exposure = 1e-3 * number(options, "exposure_ms", math.nan, least=0.01, most=MOST_LATE)
+    exposure = 1e-3 * number(options, "exposure_ms", math.nan, least=0.01, most=LONGEST_EXPOSURE)
     return CameraSettings(width, height, fps, exposure, packed, cast(Stream, stream))
 
 
@@ -194,8 +165,8 @@ CAMERAS: dict[str, SourceKind[CameraSource]] = {
     "film": SourceKind(
         "film:REC",
         "a film, or a recording's, played at its own pace",
-        _ON_THE_WAY,
-        lambda place, options: played_camera(Path(place), **_on_the_way(options)),
+        (),
+        lambda place, _: played_camera(Path(place)),
     ),
 }
 FORCES: dict[str, SourceKind[ForceSource]] = {
@@ -225,20 +196,6 @@ FORCES: dict[str, SourceKind[ForceSource]] = {
         (),
         lambda place, _: force_sensors.FrankaForce(place),
     ),
-    "lsl": SourceKind(
-        "lsl:NAME,columns=fx_N/fy_N",
-        "a stream of the Lab Streaming Layer (pip install 'onebend[lsl]')",
-        ("columns", "zero"),
-        _lsl,
-    ),
-    "bag": SourceKind(
-        "bag:PATH",
-        "a ROS bag that is being written",
-        ("topic", "field"),
-        lambda place, options: force_sensors.GrowingBag(
-            Path(place), options.get("topic", ""), options.get("field", "")
-        ),
-    ),
     "csv": SourceKind(
         "csv:log.csv",
         "a CSV file that another program is writing",
@@ -247,7 +204,5 @@ FORCES: dict[str, SourceKind[ForceSource]] = {
             Path(place), _names(options, "columns"), _names(options, "zero")
         ),
     ),
-    "log": SourceKind(
-        "log:REC", "a force log, or a recording's, played at its own pace", (*_ON_THE_WAY, "start_s"), _log
-    ),
+    "log": SourceKind("log:REC", "a force log, or a recording's, played at its own pace", ("start_s",), _log),
 }
