@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 # Those that take seconds need the result of `make demo` itself, or make films; the others do with a designed beam.
 DEAR = (
     "learn", "validate", "plan", "damp", "loop", "check",
-    "rerun", "mould", "film", "calibrate", "reproduce", "rehearse", "batch",
+    "mould", "film", "calibrate", "reproduce", "rehearse", "batch",
     "population", "record", "drive",
 )  # fmt: skip
 ENDLESS = ("studio",)  # it serves until it is stopped; tests/studio/ starts it

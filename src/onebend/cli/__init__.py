@@ -125,11 +125,6 @@ COMMANDS = {
         "Write the learned beam for a simulator, as a robot description, a table, or a Python file without onebend.",
         "out/linear-beam --to mujoco -o out/beam.xml",
     ),
-    "rerun": Place(
-        "onebend.cli.exporting:rerun_command",
-        "Write a recording and the learned beam as a Rerun file: video, tags, beam, forces, residuals.",
-        "out/linear-beam examples/linear-beam/fast",
-    ),
 }
 
 

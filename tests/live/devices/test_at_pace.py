@@ -16,7 +16,7 @@ from onebend.live.session import record
 from onebend.live.sources import HostClock
 from onebend.report.overview import overview
 from tests.live.devices.test_ati import Box
-from tests.live.disturbed import DisturbedCamera, Disturbances
+from tests.live.disturbed import Disturbances, DisturbedCamera
 from tests.live.played_push import CAMERA_CLOCK, SETTINGS, folder
 from tests.live.streamed import BIAS, DURATION, force_at, frames
 
