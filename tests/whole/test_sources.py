@@ -19,7 +19,7 @@ DIGITS = "9" * 5000
 REQUESTS: dict[str, tuple[str, str, str]] = {  # --camera, --force, words
     "a start of 5000 digits": (CAMERA, f"log:film,start_s={DIGITS}", "start_s=9{60}: this must be a number"),
     "a picture of 5000 digits": (f"v4l2:/dev/null,size={DIGITS}x1", LOG, "write width and height in pixels"),
-    "a picture of no size": ("realsense:any,size=0x0", LOG, "size=0x0: write width and height in pixels"),
+    "a picture of no size": ("v4l2:/dev/null,size=0x0", LOG, "size=0x0: write width and height in pixels"),
     "a picture of raised digits": ("v4l2:/dev/null,size=²x²", LOG, "write width and height in pixels"),
     "a pipe as a camera": ("av:pipe", LOG, "pipe is a pipe, and no camera"),
     "a pipe as a film": ("film:pipe", LOG, "there is no such film"),

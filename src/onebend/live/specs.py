@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar, cast
+from typing import Generic, TypeVar
 
 from onebend.errors import RecordingError
 from onebend.live import force_sensors
-from onebend.live.cameras import PACKED, STREAMS, AvCamera, CameraSettings, RealSenseCamera, Stream, V4l2Camera
+from onebend.live.cameras import PACKED, AvCamera, CameraSettings, V4l2Camera
 from onebend.live.played import played_camera, played_force
 from onebend.live.sources import CameraSource, ForceSource
 from onebend.text_files import QUOTED
@@ -129,16 +129,15 @@ def _size(options: Options, default: str) -> tuple[int, int]:
     return sides[0], sides[1]
 
 
-def _camera(options: Options, *, least_fps: float) -> CameraSettings:
+def _v4l2(place: str, options: Options) -> CameraSource:
     asked = CameraSettings()
     width, height = _size(options, f"{asked.width}x{asked.height}")
-    packed, stream = options.get("packed", asked.packed), options.get("stream", asked.stream)
-    for key, value, known in (("packed", packed, PACKED), ("stream", stream, STREAMS)):
-        if value not in known:
-            raise RecordingError(f"{key}={value}: take one of {', '.join(known)}.")
-    fps = number(options, "fps", asked.fps, least=least_fps, most=MOST_FPS)
+    packed = options.get("packed", asked.packed)
+    if packed not in PACKED:
+        raise RecordingError(f"packed={packed}: take one of {', '.join(PACKED)}.")
+    fps = number(options, "fps", asked.fps, least=0.1, most=MOST_FPS)
     exposure = 1e-3 * number(options, "exposure_ms", math.nan, least=0.01, most=LONGEST_EXPOSURE)
-    return CameraSettings(width, height, fps, exposure, packed, cast(Stream, stream))
+    return V4l2Camera(Path(place), CameraSettings(width, height, fps, exposure, packed))
 
 
 CAMERAS: dict[str, SourceKind[CameraSource]] = {
@@ -146,13 +145,7 @@ CAMERAS: dict[str, SourceKind[CameraSource]] = {
         "/dev/video0",
         "a camera of Linux, with the kernel's stamps",
         ("size", "fps", "packed", "exposure_ms"),
-        lambda place, options: V4l2Camera(Path(place), _camera(options, least_fps=0.1)),
-    ),
-    "realsense": SourceKind(
-        "realsense:any",
-        "a RealSense camera, or its serial number for `any` (pip install 'onebend[realsense]')",
-        ("stream", "size", "fps", "exposure_ms"),
-        lambda place, options: RealSenseCamera("" if place == "any" else place, _camera(options, least_fps=1.0)),
+        _v4l2,
     ),
     "av": SourceKind(
         "av:PLACE,format=NAME",
