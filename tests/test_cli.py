@@ -370,24 +370,6 @@ def test_a_recording_may_be_named_by_its_file(tmp_path: Path, monkeypatch: pytes
     refused(run("learn", EXAMPLE, EXAMPLE / "recording.toml", "-o", tmp_path / "out"), "is given twice")
 
 
-def test_the_cache_is_shown_and_cleared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / "kept"
-    monkeypatch.setenv("ONEBEND_CACHE", str(folder))
-    assert f"Kept: the tags of 0 films, 0 MB, in {folder}" in run("cache").stdout
-    users = users_folder()
-    assert users is not None
-    for i in range(2):
-        users.save(f"tags-{i:040x}", bytes(999_968))
-    assert f"Kept: the tags of 2 films, 2 MB, in {folder}" in run("cache").stdout
-    told = json.loads(run("cache", "--json").stdout)
-    assert told == {"folder": str(folder), "entries": 2, "bytes": 2_000_000, "cleared": False}
-    assert f"Dropped: the tags of 2 films, 2 MB, in {folder}" in run("cache", "--clear").stdout
-    assert not folder.exists()
-    monkeypatch.setenv("ONEBEND_CACHE", "off")
-    assert "Nothing is kept: ONEBEND_CACHE turns it off" in run("cache").stdout
-    assert json.loads(run("cache", "--clear", "--json").stdout)["folder"] is None
-
-
 def test_show_draws_the_model(tmp_path: Path) -> None:
     save_model(tmp_path / "model.json", made_up.BEAM, written_by="a test")
     result = run("show", tmp_path)

@@ -157,10 +157,12 @@ def test_a_damaged_entry_is_replaced(tmp_path: Path, film: VideoEntry, searches:
     cache = DetectionCache((folder,), "1")
     cache.detect(film, TAGS)
     (entry,) = folder.entries()
-    entry.path.write_bytes(entry.path.read_bytes()[:-1])
-    assert equal(cache.detect(film, TAGS))
-    assert equal(cache.detect(film, TAGS))
-    assert len(searches) == 2
+    whole = entry.read_bytes()
+    for damaged in (whole[:-1], whole[:200] + bytes(40) + whole[240:], b""):
+        entry.write_bytes(damaged)
+        assert equal(cache.detect(film, TAGS))
+        assert equal(cache.detect(film, TAGS))
+    assert len(searches) == 4
 
 
 def test_a_film_that_changes_while_it_is_searched_is_not_kept(

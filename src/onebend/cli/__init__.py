@@ -99,12 +99,6 @@ COMMANDS = {
         "examples/linear-beam/train",
         group="Measure",
     ),
-    "cache": Place(
-        "onebend.cli.recordings:show_cache",
-        "List the films whose tags are cached, so that each is searched only once; --clear empties the cache.",
-        "",
-        group="Measure",
-    ),
     "calibrate": Place(
         "onebend.cli.recordings:calibrate",
         "Calibrate the camera from a film of a board, and write its table for recording.toml.",

@@ -247,10 +247,8 @@ def put_in_place(
     """
     made_from = made_from or made_from_files(inputs)
     again = place.published
-    left = publish(place, write, {**made_from, "pictures_failed": failed})
+    publish(place, write, {**made_from, "pictures_failed": failed})
     say_failed(failed)
-    if left is not None:
-        say_warning(f"files that appeared in {place.out} during the run are in {left}.", about="changed file")
     for path in () if again else made_from["provenance"]["changed_meanwhile"]:
         text = f"{path} was changed while it was read. Run again to learn from it as it is."
         say_warning(text, about="changed file")

@@ -22,7 +22,6 @@ from rich.text import Text
 
 from onebend.cli import BY, common
 from onebend.errors import ObservationError, RecordingError
-from onebend.files.kept import VARIABLE, users_folder
 from onebend.files.single_file import check_name_free, check_replaceable, write_file
 from onebend.recording.bag_topics import FIELDS, BagContents, TopicRow, bag_contents
 from onebend.recording.calibration import NAMES, Board, BoardKind, Calibration, calibrate as calibrate_camera
@@ -96,11 +95,11 @@ Definitions = Annotated[
 
 PICTURE = "check.png"
 
-Clear = Annotated[bool, typer.Option("--clear", help="Empty the cache.")]
 VideoKind = Annotated[bool, typer.Option("--video", help="A film of the tags and a force log (the default).")]
 RosKind = Annotated[
     Path | None, typer.Option("--ros", metavar="BAG", help="A ROS bag with film and force; topics are filled in.")
 ]
+PhotoKind = Annotated[bool, typer.Option("--photo", help="A photo of a body without tags, bent by its own weight.")]
 PhotosKind = Annotated[bool, typer.Option("--photos", help="Photos of the tags under known loads.")]
 WeightsKind = Annotated[bool, typer.Option("--weights", help="Points measured by hand under hung weights.")]
 MocapKind = Annotated[bool, typer.Option("--mocap", help="Tracks of motion capture and a force log.")]
@@ -109,6 +108,7 @@ Yes = Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing, and leave e
 BESIDE: dict[Kind, str] = {
     "video": "put the video and the force log beside it",
     "ros": "leave the bag where it is",
+    "photo": "put the photo into photos, list it in loads.csv, and points along the body in clicks.csv",
     "photos": "put the photos into photos, list their loads in loads.csv",
     "weights": "fill in poses.csv and loads.csv",
     "mocap": "put the tracks and the force log beside it",
@@ -126,6 +126,7 @@ def new(
     *,
     video: VideoKind = False,
     ros: RosKind = None,
+    photo: PhotoKind = False,
     photos: PhotosKind = False,
     weights: WeightsKind = False,
     mocap: MocapKind = False,
@@ -133,7 +134,7 @@ def new(
     yes: Yes = False,
 ) -> None:
     asked: dict[Kind, bool] = {
-        "video": video, "ros": ros is not None, "photos": photos, "weights": weights, "mocap": mocap
+        "video": video, "ros": ros is not None, "photo": photo, "photos": photos, "weights": weights, "mocap": mocap
     }  # fmt: skip
     kinds = [kind for kind, wanted in asked.items() if wanted]
     with common.clean_errors():
@@ -253,25 +254,6 @@ def lines_to_write(found: BagContents) -> str:
     if not tables:
         return "It holds no images, and no topic whose force is known: name the topic and its field in [force]."
     return "\n\n".join(["For recording.toml:", *("\n".join(table) for table in tables)])
-
-
-def show_cache(*, clear: Clear = False, as_json: common.Json = False) -> None:
-    folder = users_folder()
-    with common.clean_errors():
-        kept = [] if folder is None else folder.clear() if clear else folder.entries()
-    size = sum(entry.size for entry in kept)
-    if as_json:
-        where = None if folder is None else str(folder.path)
-        common.print_json({"folder": where, "entries": len(kept), "bytes": size, "cleared": clear})
-    elif folder is None:
-        common.say(f"Nothing is kept: {VARIABLE} turns it off, or this system has no place for caches.")
-    else:
-        films = f"the tags of {len(kept)} {'film' if len(kept) == 1 else 'films'}, {size / 1e6:.3g} MB"
-        common.say(f"{'Dropped' if clear else 'Kept'}: {films}, in {folder.path}")
-        if not clear:
-            common.say(
-                f"At most {folder.most / 1e6:.0f} MB are kept; {VARIABLE} names another folder, or turns it off (off)."
-            )
 
 
 def show_calibration(console: Console, calibration: Calibration, out: Path) -> None:

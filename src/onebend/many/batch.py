@@ -21,7 +21,7 @@ from scipy.special import ndtri
 
 from onebend.errors import RecordingError, ResultsError
 from onebend.extras import require
-from onebend.files.publish import SUMMARY, check_place, enter, with_checksum
+from onebend.files.publish import SUMMARY, check_place, enter, finish, with_checksum
 from onebend.files.single_file import as_parquet, write_file
 from onebend.many import tasks
 from onebend.progress import Progress, Silent, track
@@ -206,7 +206,7 @@ def run_batch(
             with suppress(OSError):
                 left.unlink()  # of lost workers
     finally:
-        place.remove()
+        finish(place)
     records = [_record(target, item, result) for item, result in zip(items, results, strict=True)]
     return outcome_of(target, items, records, sum(one.learned_now for one in results))
 

@@ -7,6 +7,7 @@ import hashlib
 import io
 import json
 import zipfile
+import zlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -119,7 +120,7 @@ def unpacked(content: bytes | None, wanted: Sequence[int]) -> Detections | None:
             width, height = (int(n) for n in data["size"])
             searched = None if data["searched"].all() else data["searched"]
             found = Detections(data["time"], data["tag_id"], data["corners"], width, height, remarks, searched)
-    except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile):
+    except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
         return None
     shape: tuple[Any, ...] = (len(found.time), len(wanted), 4, 2)
     fits = found.corners.shape == shape and (found.searched is None or found.searched.shape == shape[:1])

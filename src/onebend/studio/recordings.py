@@ -20,7 +20,7 @@ import numpy as np
 from PIL import Image
 
 from onebend.errors import RecordingError, ResultsError, StudioError
-from onebend.files.single_file import check_replaceable, replace_file, write_file
+from onebend.files.single_file import check_replaceable, write_file
 from onebend.recording.entries import FAMILIES, VideoEntry
 from onebend.recording.folder import check_text
 from onebend.recording.tag_finder import Finder
@@ -36,7 +36,7 @@ LARGEST_PICTURE = 16 * 2**20  # bytes
 WIDEST = 1100  # px
 QUALITY = 82  # of JPEG
 MOST_SHOWN = 200  # mistakes
-_saving = threading.Lock()  # for tabs of this studio; `replace_file` handles other programs
+_saving = threading.Lock()  # for tabs of this studio
 
 
 def answer(places: StudioFolder, what: str, asked: Mapping[str, Any]) -> dict[str, Any]:
@@ -139,13 +139,11 @@ def save(folder: Path, text: str, version: str) -> dict[str, Any]:
     path = folder / RECORDING
     with _saving:
         before = path.read_bytes()
-        found: bytes | None = before
         data = as_bytes(text, before)
         if version_of(before) == version:
-            found = replace_file(path, data, before)
-    if found is None:
-        return {"version": version_of(data)}
-    return {"conflict": True, "text": as_text(found[: MOST_TOML + 1]), "version": version_of(found)}
+            write_file(path, data, overwrite=True)
+            return {"version": version_of(data)}
+    return {"conflict": True, "text": as_text(before[: MOST_TOML + 1]), "version": version_of(before)}
 
 
 def begun(places: StudioFolder, name: str) -> dict[str, Any]:

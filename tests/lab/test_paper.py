@@ -12,11 +12,21 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from onebend.cli import app
-from onebend.errors import RecordingError, ResultsError
-from onebend.files.publish import files_in, seal, write_summary
-from onebend.lab.designs import DESIGNS
-from onebend.lab.study import (
+from benchmarks.paper.__main__ import app
+from benchmarks.paper.report import (
+    Cell,
+    ResultTable,
+    all_tables,
+    below_printed,
+    draw_figures,
+    page,
+    ranked,
+    selection_table,
+    summary_of,
+    validation_table,
+    write_report,
+)
+from benchmarks.paper.study import (
     BEAMS,
     STRATEGIES,
     TASKS,
@@ -38,19 +48,9 @@ from onebend.lab.study import (
     seen_through,
     sensor_of,
 )
-from onebend.lab.study_report import (
-    Cell,
-    ResultTable,
-    all_tables,
-    below_printed,
-    draw_figures,
-    page,
-    ranked,
-    selection_table,
-    summary_of,
-    validation_table,
-    write_report,
-)
+from onebend.errors import RecordingError, ResultsError
+from onebend.files.publish import files_in, seal, write_summary
+from onebend.lab.designs import DESIGNS
 from onebend.learning.paper import information_criterion
 from onebend.progress import in_processes
 from onebend.records import Observations
@@ -252,7 +252,7 @@ def test_a_folder_is_written_whole(found: StudyOutcome, tmp_path: Path) -> None:
 
 def test_a_taken_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine", encoding="utf-8")
-    said = CliRunner().invoke(app, ["reproduce", "-o", str(tmp_path), "--quick", "--without-video"])
+    said = CliRunner().invoke(app, ["-o", str(tmp_path), "--quick", "--without-video"])
     assert said.exit_code == 2
     assert "not empty" in said.stderr
 
@@ -260,9 +260,7 @@ def test_a_taken_folder_is_refused(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_whole_paper_without_films(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    said = CliRunner().invoke(
-        app, ["reproduce", "-o", str(out), "--quick", "--without-video", "--seed", "1", "--json", "--quiet"]
-    )
+    said = CliRunner().invoke(app, ["-o", str(out), "--quick", "--without-video", "--seed", "1", "--json", "--quiet"])
     assert said.exit_code == 0, said.output
     summary = json.loads(said.stdout)
     assert summary["validations_below_printed"] == summary["validations_printed"] == 6

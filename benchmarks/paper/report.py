@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -13,8 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from onebend.files.single_file import link_tree
-from onebend.lab import study
+from benchmarks.paper import study
 from onebend.progress import Progress, Silent
 from onebend.recording.entries import VideoEntry
 from onebend.recording.video import frame_at
@@ -424,7 +425,7 @@ def page(outcome: study.StudyOutcome, figures: Mapping[str, bytes], *, version: 
         "remarks": [f"{beam.name} beam, {text}" for beam in outcome.beams for text in beam.learned.remarks],
         "files": [file for file in FILES if setting.video or not file[0].startswith("recordings")],
     }
-    return render("onebend.lab", "study.html", figures, content)
+    return render("benchmarks.paper", "study.html", figures, content)
 
 
 def cards(outcome: study.StudyOutcome) -> list[dict[str, str]]:
@@ -536,4 +537,4 @@ def write_report(folder: Path, outcome: study.StudyOutcome, figures: Mapping[str
         write_table(folder / "tables" / f"{table.key}.csv", table)
     for name in (study.RECORDINGS, study.OBSERVED, study.LEARNED):
         if (outcome.work / name).exists():
-            link_tree(outcome.work / name, folder / name)
+            shutil.copytree(outcome.work / name, folder / name, copy_function=os.link)
