@@ -13,6 +13,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from onebend.cli import COMPLETE, all_commands, app
+from tests.recording.bagged import log, write_mcap
 from tests.recording.board_film import CHESS
 from tests.recording.calibration.test_intrinsics import shown
 
@@ -48,10 +49,12 @@ def test_the_help_ends_with_an_example_that_can_be_copied(name: str) -> None:
 
 
 def workplace(folder: Path) -> None:
-    """A folder with the examples, as a copy of the repository is."""
+    """A folder with the examples, as a copy of the repository is, and a bag."""
     folder.mkdir(exist_ok=True)
     (folder / "examples").symlink_to(ROOT / "examples")
     (folder / "out").mkdir()
+    (folder / "my-beam").mkdir()
+    write_mcap(folder / "my-beam" / "push.mcap", log())
 
 
 @pytest.fixture(scope="module")

@@ -89,8 +89,7 @@ COMMANDS = {
     "topics": Place(
         "onebend.cli.recordings:topics",
         "List the topics of a ROS bag, and say which to write in recording.toml.",
-        "out/path/bag",
-        "onebend path out/linear-beam --goals examples/bend/goals.csv -o out/path",
+        "my-beam/push.mcap",
         group="Measure",
     ),
     "check": Place(
