@@ -46,7 +46,7 @@ from onebend.recording.outline import (
     refined,
     refuse_lost,
 )
-from onebend.recording.poses import PoseLoads, PosePoints, read_loads, static
+from onebend.recording.poses import ERROR_LENGTH, GUESSED_SD, PoseLoads, PosePoints, read_loads, static
 from onebend.recording.tables import read_columns
 from onebend.recording.tag_finder import Finder
 from onebend.recording.tags import track_block
@@ -247,8 +247,6 @@ def in_beam_frame(rec: Recording, markers: Markers, loads: PoseLoads) -> tuple[M
 # The body's curve: points whose place along the body is free. What is said of it here is its error in one picture: an
 # unknown share of the length, alike over some way along it, as of shade on a round body or of a curve drawn by hand.
 
-ERROR_LENGTH = 0.2  # of the length: half of the errors' correlation is left
-CURVE_SD = 1e-3  # of the length: of these errors, before the fit has found their size
 LONGEST = 1000.0  # px: a picture of a longer body is made smaller; then its edges are as sharp as a film's
 ROUNDS = 3  # of the scale, where the body's own length gives it
 PIECES = 8  # of the body, whose width is looked for
@@ -302,7 +300,7 @@ def curve_points(rec: Recording, loads: PoseLoads, progress: Progress) -> Traced
     else:
         assert clicks is not None
         found, tracks = _by_length(rec, loads, clicks, progress)
-    variance = (CURVE_SD * rec.beam.length) ** 2 * np.diag([1.0, 1.0, 0.0])
+    variance = (GUESSED_SD * rec.beam.length) ** 2 * np.diag([1.0, 1.0, 0.0])
     readings = Readings(error_length=ERROR_LENGTH * rec.beam.length)
     text = "The size of the curve's error in the pictures is estimated from the fit."
     points = replace(
