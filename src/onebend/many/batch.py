@@ -6,11 +6,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import quote
@@ -20,7 +19,6 @@ import pyarrow as pa
 from scipy.special import ndtri
 
 from onebend.errors import RecordingError, ResultsError
-from onebend.extras import require
 from onebend.files.publish import SUMMARY, check_place, enter, finish, with_checksum
 from onebend.files.single_file import as_parquet, write_file
 from onebend.many import tasks
@@ -167,28 +165,20 @@ def run_batch(
     source: Path | str,
     out: Path | str,
     *,
-    scheduler: str | None = None,
     workers: int | None = None,
-    processes: bool = True,
     folders: bool = False,
     progress: Progress = Silent(),
-    began: Callable[[str], None] = lambda _: None,
 ) -> BatchOutcome:
     """Learns each recording of `source` (a folder or a CSV) into `out`.
 
     Args:
-        scheduler: address of a Dask scheduler whose workers see all folders under the same paths; None: a local one.
-        workers: local workers; None: one per core.
-        processes: whether these are processes.
+        workers: processes; None: one per core.
         folders: also write a results folder per recording.
-        began: called with the link of the cluster's page ("": none).
 
     Raises:
         RecordingError: the list cannot be used.
-        MissingPackageError: Dask is not installed.
-        ResultsError: `out` holds something else, is being written, or the scheduler is lost.
+        ResultsError: `out` holds something else, or is being written.
     """
-    require(("dask", "distributed"), "batch")
     target = Path(os.path.realpath(out))
     items = tasks.items_of(Path(source), target)
     if folders:
@@ -199,9 +189,7 @@ def run_batch(
     try:
         _take(target)
         settings = tasks.TaskSettings(target, version("onebend"), folders)
-        with tasks.cluster(scheduler, workers, processes=processes) as client:
-            began(str(client.dashboard_link or "") if find_spec("bokeh") else "")
-            results = _all(client, items, settings, progress)
+        results = _all(items, settings, workers, progress)
         for left in (target / tasks.RECORDS).glob(".*.json"):
             with suppress(OSError):
                 left.unlink()  # of lost workers
@@ -222,11 +210,11 @@ def _take(out: Path) -> None:
 
 
 def _all(
-    client: Any, items: Sequence[tasks.Item], settings: tasks.TaskSettings, progress: Progress
+    items: Sequence[tasks.Item], settings: tasks.TaskSettings, workers: int | None, progress: Progress
 ) -> list[tasks.ItemResult]:
     found: dict[int, tasks.ItemResult] = {}
     try:
-        for i, result in track(progress, "Recordings", tasks.results_of(client, items, settings), len(items)):
+        for i, result in track(progress, "Recordings", tasks.results_of(items, settings, workers), len(items)):
             found[i] = result
     except BaseException as error:
         error.add_note(
@@ -242,10 +230,7 @@ def _record(out: Path, item: tasks.Item, result: tasks.ItemResult) -> tasks.Reco
         return tasks.Record(hash="", reason=result.reason)
     record = tasks.read_record(out, result.hash)
     if record is None:
-        raise ResultsError(
-            f"{out}: the record of {item.name} is not there, though a worker wrote it. The workers of a cluster must "
-            "see this folder under the same path"
-        )
+        raise ResultsError(f"{out}: the record of {item.name} was removed meanwhile. Run again")
     return record
 
 
