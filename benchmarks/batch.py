@@ -1,4 +1,4 @@
-"""What a batch costs beside the learning itself, how far its queue goes, and how many outliers it names rightly."""
+"""What a batch costs beside the learning itself, and how far its queue goes."""
 
 from __future__ import annotations
 
@@ -8,36 +8,34 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import psutil
 
-from onebend.many.batch import BatchOutcome, run_batch, scores, summary_of, write_batch
-from onebend.many.tasks import EVERY, Item, ItemResult, TaskSettings, results_of
+from onebend.many.batch import BatchOutcome, run_batch, summary_of, write_batch
+from onebend.many.tasks import Item, ItemResult, TaskSettings, results_of
 from onebend.pipeline import learn
 from tests.many.stems import stem
 
 COUNT = 60  # recordings that are learned
 QUEUES = (1_000, 10_000)
-DIFFERENT = {"twice as stiff": (2.0, 0.0), "1.3 times as stiff": (1.3, 0.0), "tip half as stiff": (1.0, -np.log(2.0))}
 Found = TypeVar("Found")
 
 
 def main(count: int = COUNT) -> None:
-    """The four tables of the page."""
+    """The tables of the page."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         rng = np.random.default_rng(0)
         for i in range(count):
             stem(folder / "stems" / f"stem-{i}", scale=float(np.exp(0.1 * rng.standard_normal())), seed=i)
-        outcome = overhead(folder, count)
-        alarms(outcome)
+        overhead(folder, count)
         everything(folder, count)
     queue()
 
 
-def overhead(folder: Path, count: int) -> BatchOutcome:
+def overhead(folder: Path, count: int) -> None:
     """One worker process, so that the seconds of the learning add up; each recording also without a batch."""
     out, names = folder / "out", [f"stem-{i}" for i in range(count)]
     learn(folder / "stems" / names[0])  # what is loaded once
@@ -58,7 +56,6 @@ def overhead(folder: Path, count: int) -> BatchOutcome:
     print(f"| all else, a recording: (run less learning) / {count} | {rest:.3f} |")
     print(f"| tables and page, once | {writing:.2f} |")
     print(f"\nA record takes {size / 1000:.0f} kB.\n")
-    return outcome
 
 
 def everything(folder: Path, count: int) -> None:
@@ -105,39 +102,6 @@ def queue() -> None:
 def nothing(item: Item, settings: TaskSettings) -> ItemResult:  # noqa: ARG001
     """In place of the learning."""
     return ItemResult("done", False)
-
-
-def alarms(outcome: BatchOutcome) -> None:
-    """Outliers among learned stems that are alike but for 10 % in level, and those that are then made different."""
-    rng = np.random.default_rng(1)
-    curves = np.log(np.array([one.k for one in outcome.records], dtype=float))[:, ::EVERY]
-    known = np.array([one.covariance for one in outcome.records], dtype=float)
-    tip_at = np.linspace(0.0, 1.0, curves.shape[1]) > 0.6
-    print("## Unlike the others\n")
-    print("Groups drawn from the learned k(s) above (their true level varies by 10 %), 400 of each size.\n")
-    print(f"| recordings of a group | groups that name one where none differs [%] | {_heads()} |")
-    print(f"| --- | --- |{' --- |' * len(DIFFERENT)}")
-    for size in (5, 10, 20, 50):
-        falsely, found = 0, dict.fromkeys(DIFFERENT, 0)
-        for _ in range(400):
-            rows = rng.choice(len(curves), size, replace=False)
-            falsely += named(curves[rows], known[rows])
-            for name, (factor, tip) in DIFFERENT.items():
-                changed = curves[rows].copy()
-                changed[0] += np.log(factor) + tip * tip_at
-                found[name] += bool(scores(changed, known[rows], ["g"] * size).reasons[0])
-        shares = " | ".join(f"{one / 4:.0f}" for one in found.values())
-        print(f"| {size} | {falsely / 4:.1f} | {shares} |")
-    print()
-
-
-def _heads() -> str:
-    return " | ".join(f"found: {name} [%]" for name in DIFFERENT)
-
-
-def named(log_k: Any, covariance: Any) -> bool:
-    """Whether any is an outlier."""
-    return any(scores(log_k, covariance, ["g"] * len(log_k)).reasons)
 
 
 def write(outcome: BatchOutcome) -> None:

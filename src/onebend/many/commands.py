@@ -36,9 +36,8 @@ def show_batch(console: Console, outcome: BatchOutcome) -> None:
         f"{len(outcome.learned)} of {len(outcome.items)} recordings learned{before}; {len(outcome.in_doubt)} in doubt.",
         markup=False,
     )
-    failed, unlike = ([(item.name, why) for item, why in rows] for rows in (outcome.failed, outcome.outliers))
-    for title, rows in (("in doubt", outcome.in_doubt), ("not learned", failed), ("unlike the others", unlike)):
-        _show_reasons(console, "recording", title, rows)
+    _show_reasons(console, "recording", "in doubt", outcome.in_doubt)
+    _show_reasons(console, "recording", "not learned", [(item.name, why) for item, why in outcome.failed])
     console.print(
         f"Wrote {outcome.out}: index.html, recordings.parquet, curves.parquet, covariances.parquet, nuisances.parquet",
         markup=False,
