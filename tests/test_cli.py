@@ -374,7 +374,7 @@ def test_show_draws_the_model(tmp_path: Path) -> None:
     save_model(tmp_path / "model.json", made_up.BEAM, written_by="a test")
     result = run("show", tmp_path)
     assert result.exit_code == 0
-    assert "█" in result.stdout
+    assert "━" in result.stdout
     assert "length 150 mm" in result.stdout
     fit = made_up.posterior()
     save_model(tmp_path / "model.json", fit.beam, written_by="a test", uncertain=fit.stiffness)
