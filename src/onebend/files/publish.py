@@ -75,10 +75,7 @@ def seal(folder: Path, more: Mapping[str, Any]) -> None:
 def read_summary(folder: Path) -> dict[str, Any] | None:
     """The summary; None if absent or changed."""
     data = read_object(folder / SUMMARY, LARGEST)
-    try:
-        return data if data is not None and is_unchanged(data) and isinstance(data.get("files"), dict) else None
-    except (ValueError, TypeError, RecursionError):
-        return None
+    return data if data is not None and is_unchanged(data) and isinstance(data.get("files"), dict) else None
 
 
 def read_object(file: Path, most: int) -> dict[str, Any] | None:
