@@ -392,8 +392,8 @@ def read_before_fit(seen: Markers | Observations) -> IntArray:
 
 
 def of_markers(markers: Markers, kept: IntArray) -> Markers:
-    """Some of the markers."""
-    if len(kept) == len(markers.s):
+    """Some of the markers, in this order."""
+    if np.array_equal(kept, np.arange(len(markers.s))):
         return markers
     every = {name: getattr(markers, name)[:, kept] for name in ("xy", "angle", "covariance")}
     by_camera = None if markers.by_camera is None else markers.by_camera[:, kept]

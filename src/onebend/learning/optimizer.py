@@ -352,6 +352,8 @@ def _miss(data: FitData, rms: Array) -> Miss | None:
         zeroed = o.readings.bare >= 0
         straight = np.zeros(2) if zeroed else o.length * o.marker_s[:, None] * np.array([1.0, 0.0])
         motion = np.full_like(motion, np.nanmax(distances(xy - straight)))
+    elif o.traced is not None:  # so do those of a curve, whose errors are alike along it
+        motion[o.traced] = np.nanmax(motion[o.traced])
     variance = np.trace(covariance_with_camera(o)[..., :2, :2], axis1=2, axis2=3)
     off = rms > _LEAST_MISS * np.sqrt(np.fmin.reduce(variance))
     missing = np.divide(rms, motion, out=np.zeros_like(rms), where=off & (motion > 0.0))

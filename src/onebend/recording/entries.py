@@ -242,7 +242,8 @@ class MarkersEntry:
     file: Path = key(
         'file = "markers.csv"',
         text,
-        "a CSV or Parquet table with columns time_s, id, x_m, y_m and, where known, z_m, angle_rad, sd_m",
+        "a CSV or Parquet table with columns time_s, id (of a curve order), x_m, y_m and, where known, z_m, angle_rad, "
+        "sd_m",
     )
     start: float = key("start_s = 0.0", number(), "what to add to the tracker's time to get the force log's, s", nan)
     start_uncertainty: float = key(
@@ -285,7 +286,8 @@ class PosesEntry:
     file: Path = key(
         'file = "poses.csv"',
         text,
-        "a CSV or Parquet table with columns pose, id, y_m and, where known, x_m, angle_deg, sd_m; one row a point",
+        "a CSV or Parquet table with columns pose, id (of a curve order), y_m and, where known, x_m, angle_deg, sd_m; "
+        "one row a point",
     )
     loads: Path = key(
         'loads = "loads.csv"',
@@ -331,7 +333,7 @@ class PosesEntry:
 
 @dataclass(frozen=True)
 class PhotosEntry:
-    """[photos]: stills of the tags, one a static pose, and what loaded the beam in each."""
+    """[photos]: stills of the body or of tags on it, one a static pose, and what loaded the beam in each."""
 
     folder: Path = key('folder = "photos"', text, "the folder with the pictures, relative to this one")
     loads: Path = key(
@@ -342,6 +344,13 @@ class PhotosEntry:
         one_of("beam", "room"),
         'the axes of the forces: "beam" (x along it at the clamp) or "room" (x horizontal, y up)',
         "beam",
+    )
+    clicks: Path | None = key(
+        'clicks = "clicks.csv"',
+        text,
+        "without tags on the body: a table with columns pose, x_px, y_px of two or more points along the middle of the "
+        "body in each picture, from the clamp to the tip; and s of the last, where it is not the tip",
+        None,
     )
     camera_moves: bool = key("camera_moves = false", flag, "whether the camera was moved between the pictures", False)
     load_sd: float = load_sd()
@@ -543,7 +552,9 @@ class Recording:
 
     @property
     def traces_outline(self) -> bool:
-        """Whether the body's outline is to be read from the film."""
+        """Whether the body's outline is to be read from the film or the photos."""
+        if self.photos is not None:
+            return not self.tags.on_beam
         if self.video is None:
             return False
         return not self.tags.on_beam if self.outline is None else self.outline.use
