@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-import psutil
 
 from onebend.many.batch import BatchOutcome, run_batch, summary_of, write_batch
 from onebend.many.tasks import Item, ItemResult, TaskSettings, results_of
@@ -116,7 +115,7 @@ def timed(work: Callable[..., Found], *arguments: object, **options: object) -> 
 
 def now() -> float:
     """Memory of this process [MB]."""
-    return float(psutil.Process().memory_info().rss / 1e6)
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
 
 
 def memory() -> float:

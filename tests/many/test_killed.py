@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import psutil
 import pytest
 
 from onebend.many.tasks import RECORDS, Item, ItemResult, TaskSettings, results_of
@@ -93,14 +92,17 @@ def test_stopped_in_its_middle_nothing_is_lost_and_nothing_done_twice(
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_a_lost_worker_is_replaced_and_its_recording_learned(stems: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with started(stems, out) as first:
         before = records(out)
-        workers = [one for one in psutil.Process(first.pid).children() if "spawn_main" in " ".join(one.cmdline())]
+        children = Path(f"/proc/{first.pid}/task/{first.pid}/children").read_text().split()
+        lines = {int(one): Path(f"/proc/{one}/cmdline").read_text() for one in children}
+        workers = [number for number, line in lines.items() if "spawn_main" in line]
         assert workers
-        for one in workers:
-            one.kill()
+        for number in workers:
+            os.kill(number, signal.SIGKILL)
         printed, said = first.communicate(timeout=LONG)
     assert first.returncode == 0, said
     summary = json.loads(printed)

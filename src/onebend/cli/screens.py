@@ -261,7 +261,7 @@ def show_damping(console: Console, fit: SwingFit, out: Path | None) -> None:
         console.print(f"\nWrote {out}.", markup=False, soft_wrap=True)
 
 
-def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bool = False) -> None:
+def show_sensed(console: Console, found: Sensed, output: Path | None) -> None:
     table, peak = facts_table(), found.peak
     table.add_row("frames", f"{len(found.time)}, {int(np.sum(found.touched))} of them show a force")
     for one in found.contacts:
@@ -298,7 +298,7 @@ def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bo
         table.add_row(*row)
     console.print(table)
     console.print(remarks_list([(found.name, one) for one in worded(found.remarks)]))
-    say_written(console, output, f"force.csv, force.png, {'force.mcap, ' if bag else ''}regions.png, summary.json")
+    say_written(console, output, "force.csv, force.png, regions.png, summary.json")
 
 
 def sensor_rows(check: SensorCheck | None) -> list[tuple[str, str]]:
