@@ -89,8 +89,7 @@ COMMANDS = {
     "topics": Place(
         "onebend.cli.recordings:topics",
         "List the topics of a ROS bag, and say which to write in recording.toml.",
-        "out/path/bag",
-        "onebend path out/linear-beam --goals examples/bend/goals.csv -o out/path",
+        "my-beam/push.mcap",
         group="Measure",
     ),
     "check": Place(
@@ -118,11 +117,6 @@ COMMANDS = {
         "onebend.cli.exporting:export_command",
         "Write the learned beam for a simulator, as a robot description, a table, or a Python file without onebend.",
         "out/linear-beam --to mujoco -o out/beam.xml",
-    ),
-    "rerun": Place(
-        "onebend.cli.exporting:rerun_command",
-        "Write a recording and the learned beam as a Rerun file: video, tags, beam, forces, residuals.",
-        "out/linear-beam examples/linear-beam/fast",
     ),
 }
 
