@@ -31,7 +31,8 @@ Entry = Literal["log k", "force", "place", "load", "clamp", "poses", "section", 
 
 
 ANYTHING, POSITIVE = (-np.inf, np.inf), (0.0, np.inf)
-RARE = 0.005  # `Allowance.least` of an effect that most benches lack
+# `Allowance.sizes` of an effect that most benches lack: from nothing on, each factor of two is as probable as any other.
+RARE = tuple(np.geomspace(0.005, 2.0, 17).tolist())
 
 
 def _nothing() -> Array:
@@ -51,7 +52,7 @@ class Allowance:
     shared: bool = False  # by all recordings of the beam; else each recording has its own
     sized: bool = False  # the evidence chooses one factor on all of `prior_sd`
     within: tuple[float, float] = ANYTHING  # bounds of each parameter
-    least: float = 1.0  # over `prior_sd`, below 1: its size is unknown from this on, see `sites`
+    sizes: tuple[float, ...] = (1.0,)  # over `prior_sd`; several, equally probable: its size is unknown, see `sites`
     led: bool = False  # the others go with the first parameter: they are as large as it is likely to be
     powers: Array = field(default_factory=_nothing)  # (n,) of the displacement in its functions; empty: none
     of_force: bool = False  # `prior_sd` goes with the largest force
@@ -164,7 +165,7 @@ def giving(course: PushCourse) -> Allowance:
     """The moment at the clamp follows the turn of the tag beside it."""
     beside = 0 if course.on_body.all() else int(np.argmin(np.abs(course.marker_s - CLAMP_TAG)))
     sd, basis = np.array([GIVE_SD]), course.turn[:, beside, None]
-    return Allowance("clamp gives", "clamp", "1", ("clamp gives",), sd, basis, within=POSITIVE, least=RARE)
+    return Allowance("clamp gives", "clamp", "1", ("clamp gives",), sd, basis, within=POSITIVE, sizes=RARE)
 
 
 SLIDE_SD = 2.5e-3  # m per rad that the beam turns at the push: the radius of a finger or a rod
@@ -175,7 +176,7 @@ def sliding(course: PushCourse) -> Allowance | None:
     if not course.pushed:
         return None
     sd, basis = np.array([SLIDE_SD]), course.turn_at_push[:, None]
-    return Allowance("slide", "place", "m/rad", ("contact slides",), sd, basis, least=RARE)
+    return Allowance("slide", "place", "m/rad", ("contact slides",), sd, basis, sizes=RARE)
 
 
 def rubbing(course: PushCourse) -> Allowance | None:
@@ -187,7 +188,7 @@ def rubbing(course: PushCourse) -> Allowance | None:
     along = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     across = course.force[:, 1] * along[:, 0] - course.force[:, 0] * along[:, 1]
     sd, basis = np.array([course.friction_sd]), (across[:, None] * along)[..., None]
-    return Allowance("rub", "force", "1", ("friction of the tool",), sd, basis, least=RARE)
+    return Allowance("rub", "force", "1", ("friction of the tool",), sd, basis, sizes=RARE)
 
 
 # Discrepancy between model and world (Kennedy and O'Hagan 2001): every coordinate of every tag may be off by a function
@@ -384,7 +385,7 @@ SHARES = np.array([0.25, 0.5, 0.25])  # of the widths below
 WIDTHS = np.array([1.05, 1.25, 1.6])  # of a patch over the tag's black square: a printed tag has a rim of one cell
 # (3, 3) of patches of these widths: the expected one, and principal parts of the others: `SHARES - SHARES SHARES'`
 _BY_WIDTH = np.column_stack([SHARES, 0.5**1.5 * np.array([1.0, 0.0, -1.0]), 0.25 * np.array([1.0, -2.0, 1.0])])
-_THIN = 0.1  # of `PATCH_SD`: a label that is glued on changes the stiffness of a soft body by a few percent at least
+_GLUED = (0.02, 1.0)  # of `PATCH_SD`: a label hardly counts, or counts as a glued one does
 USUAL_SIZE = 0.08  # of the length: a tag's black square where nobody says its size
 _USUAL_WIDTHS = np.array([0.8, 1.25, 1.9])  # over `USUAL_SIZE`
 _SOFT = 0.04  # of half a width: its edge in s
@@ -422,7 +423,7 @@ def patches(course: PushCourse) -> Allowance | None:
         basis = patch_means(course.marker_s[course.on_body], course.length, course.tag_size, grid)
     labels = tuple(f"log k under the tags, {name}" for name in ("mean", "width", "rim"))
     sd = np.full(len(WIDTHS), PATCH_SD)
-    return Allowance("patches", "log k", "1", labels, sd, basis, shared=True, within=POSITIVE, least=_THIN, led=True)
+    return Allowance("patches", "log k", "1", labels, sd, basis, shared=True, within=POSITIVE, sizes=_GLUED, led=True)
 
 
 # Camera: its model puts every tag in one plane. A tag at height z over the plane appears too far from the camera's
@@ -517,7 +518,7 @@ def posture_bias(course: PushCourse) -> Allowance | None:
     labels = tuple(f"posture bias {axis}{i}" for axis in "xy" for i in range(1, DEGREE + 1))
     sd, basis = np.full(2 * DEGREE, POSTURE_SD * course.largest[0]), on_each_axis(powers(course.bend))
     of_bend = np.tile(np.arange(1.0, DEGREE + 1.0), 2)
-    return Allowance("posture", "force", "N", labels, sd, basis, least=RARE, powers=of_bend, of_force=True)
+    return Allowance("posture", "force", "N", labels, sd, basis, sizes=RARE, powers=of_bend, of_force=True)
 
 
 def powers(bend: Array) -> Array:
@@ -542,7 +543,7 @@ LARGEST = 0.9  # of c: beyond, nothing would be left of the stiffness
 def relaxation(course: PushCourse) -> Allowance:
     """The shares that relax with each of the times."""
     labels, sd = tuple(f"share that relaxes within {t:g} s" for t in TIMES), np.full(len(TIMES), SHARE_SD)
-    return Allowance("relaxation", "relaxation", "1", labels, sd, course.time, shared=True, within=POSITIVE, least=RARE)
+    return Allowance("relaxation", "relaxation", "1", labels, sd, course.time, shared=True, within=POSITIVE, sizes=RARE)
 
 
 def lags(time: Array) -> Array:

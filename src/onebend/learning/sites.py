@@ -1,8 +1,8 @@
 """Priors of single parameters that are not normal, as normal ones with the same effect (expectation propagation).
 
 A parameter of one sd `d` may have bounds: nothing acts beyond the end of the beam, a tag does not soften it. It may be
-`sparse`: of an effect that most benches lack, the size is unknown from nothing to d, each factor of two as probable as
-any other. Its prior is then a mixture of normal densities of these sizes, with mass near zero.
+sparse: of an effect that many benches lack, the size is unknown. Its prior is then a mixture of normal densities of
+several `sizes`, equally probable, with mass near zero.
 
 The site of a parameter is the normal prior under which the linearised model has the mean and variance that the true
 prior gives (Minka 2001; Rasmussen and Williams, Gaussian Processes for Machine Learning, 3.6).
@@ -21,7 +21,6 @@ from onebend.records import Array
 Sites = Mapping[tuple[str, int], tuple[Array, Array]]  # of blocks: means (n,) and sds (n,) of the normal priors
 
 _LEAST = 1e-6  # of the prior's precision: of data that say next to nothing
-_LARGEST, _COUNT = 2.0, 17  # of the sizes of a sparse parameter: over its sd, and how many
 
 
 def moments(lower: float, upper: float, mean: Array, variance: Array) -> tuple[Array, Array, Array]:
@@ -38,11 +37,6 @@ def moments(lower: float, upper: float, mean: Array, variance: Array) -> tuple[A
     return log_mass, mean + sign * sd * shift, variance * np.clip(1.0 + bend - shift**2, 1e-8, 1.0)
 
 
-def _sizes(block: Block) -> Array:
-    """Sds of the normal densities that the prior is a mixture of, over its sd."""
-    return np.geomspace(block.least, _LARGEST, _COUNT) if block.least < 1.0 else np.ones(1)
-
-
 def first_site(block: Block, size: float = 1.0) -> tuple[Array, Array]:
     """Means and sds (n,) of the prior itself, whose sds are `size` times those of the block."""
     site = _matched(block, size, np.zeros(len(block.prior_sd)), np.full(len(block.prior_sd), np.inf))
@@ -51,7 +45,7 @@ def first_site(block: Block, size: float = 1.0) -> tuple[Array, Array]:
 
 def _matched(block: Block, size: float, mean: Array, variance: Array) -> tuple[Array, Array]:
     """Means and sds (n,) of the prior times normal densities of this mean and variance (n,)."""
-    sizes = size * block.prior_sd[:, None] * _sizes(block)
+    sizes = size * block.prior_sd[:, None] * np.array(block.sizes)
     mean, given = mean[:, None], np.isfinite(variance)[:, None]
     variance = np.where(given, variance[:, None], 1.0)
     both = np.where(given, 1.0 / (1.0 / sizes**2 + 1.0 / variance), sizes**2)
@@ -71,13 +65,13 @@ def updated(block: Block, site: tuple[Array, Array], mean: Array, sd: Array, siz
     A site wider than the widest normal density in the prior, or far from all of them, is a force without a place to
     rest: the search may run away with it. A site about zero then gives the same mean.
     """
-    widest = size * _sizes(block)[-1] * block.prior_sd
+    widest = size * block.sizes[-1] * block.prior_sd
     precision = np.maximum(1.0 / sd**2 - 1.0 / site[1] ** 2, _LEAST / widest**2)
     without = (mean / sd**2 - site[0] / site[1] ** 2) / precision
     wanted, spread = _matched(block, size, without, 1.0 / precision)
     left = np.maximum(1.0 / spread**2 - precision, 1.0 / widest**2)
     middle = (wanted * (precision + left) - without * precision) / left
-    if block.least < 1.0:
+    if len(block.sizes) > 1:
         pull = precision * np.divide(without - wanted, wanted, out=np.zeros_like(wanted), where=wanted != 0.0)
         far = np.abs(middle) > widest
         left, middle = np.where(far, np.maximum(pull, 1.0 / widest**2), left), np.where(far, 0.0, middle)
@@ -94,4 +88,4 @@ def _led(block: Block, site: tuple[Array, Array], mean: Array, sd: Array) -> tup
 
 def is_shaped(block: Block) -> bool:
     """Whether the block is free and its prior is not normal."""
-    return block.start >= 0 and (block.least < 1.0 or bool(np.any(np.isfinite(block.within))))
+    return block.start >= 0 and (len(block.sizes) > 1 or bool(np.any(np.isfinite(block.within))))

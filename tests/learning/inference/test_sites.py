@@ -9,12 +9,12 @@ from scipy.stats import norm, truncnorm
 
 from onebend.learning.allowances import ANYTHING, POSITIVE, RARE
 from onebend.learning.parameters import Block
-from onebend.learning.sites import _sizes, first_site, is_shaped, moments, updated
+from onebend.learning.sites import first_site, is_shaped, moments, updated
 from onebend.records import Array
 
 
-def block(within: tuple[float, float] = ANYTHING, least: float = 1.0) -> Block:
-    return Block("one", "bench", "1", ("one",), np.array([0.3]), within=within, least=least, start=0)
+def block(within: tuple[float, float] = ANYTHING, sizes: tuple[float, ...] = (1.0,)) -> Block:
+    return Block("one", "bench", "1", ("one",), np.array([0.3]), within=within, sizes=sizes, start=0)
 
 
 def through(site: tuple[Array, Array], measured: float, noise: float) -> tuple[Array, Array]:
@@ -26,7 +26,7 @@ def through(site: tuple[Array, Array], measured: float, noise: float) -> tuple[A
 def exact(one: Block, measured: float, noise: float) -> tuple[float, float]:
     """The same under the prior itself, by sums over a fine grid."""
     x = np.concatenate([-np.geomspace(3.0, 1e-6, 60001), np.geomspace(1e-6, 3.0, 60001)])
-    sizes = one.prior_sd[0] * _sizes(one)
+    sizes = one.prior_sd[0] * np.array(one.sizes)
     inside = (x >= one.within[0]) & (x <= one.within[1])
     mass = norm.cdf(one.within[1] / sizes) - norm.cdf(one.within[0] / sizes)
     density = np.sum(norm.pdf(x[:, None] / sizes) / sizes / mass, axis=1) * inside * norm.pdf((x - measured) / noise)
@@ -53,8 +53,8 @@ def test_moments_between_bounds_are_those_of_the_truncated_normal(
 @pytest.mark.parametrize(
     "one",
     [
-        *(block(POSITIVE), block(least=RARE), block(POSITIVE, RARE), block((-np.inf, 0.1)), block((-0.3, 0.2))),
-        *(block((-1.0, np.inf), RARE), block((-np.inf, 0.1), 0.1)),
+        *(block(POSITIVE), block(sizes=RARE), block(POSITIVE, RARE), block((-np.inf, 0.1)), block((-0.3, 0.2))),
+        *(block((-1.0, np.inf), RARE), block(POSITIVE, (0.02, 1.0))),
     ],
 )
 def test_one_measured_parameter_has_the_exact_mean_and_sd(one: Block, measured: float, noise: float) -> None:
@@ -64,15 +64,15 @@ def test_one_measured_parameter_has_the_exact_mean_and_sd(one: Block, measured: 
     mean, sd = through(site, measured, noise)
     wanted = exact(one, measured, noise)
     assert mean[0] == pytest.approx(wanted[0], abs=2e-3)
-    widest = one.prior_sd[0] * _sizes(one)[-1]
+    widest = one.prior_sd[0] * one.sizes[-1]
     most = min(wanted[1], 1.0 / np.hypot(1.0 / noise, 1.0 / widest))
-    assert (0.6 if one.least < 1.0 else 0.98) * most - 1e-3 < sd[0] < 1.02 * most + 1e-3
-    if one.least < 1.0:
+    assert (0.6 if len(one.sizes) > 1 else 0.98) * most - 1e-3 < sd[0] < 1.02 * most + 1e-3
+    if len(one.sizes) > 1:
         assert abs(site[0][0]) <= widest  # no force without a place to rest
 
 
 def test_a_sparse_parameter_shrinks_where_nothing_is_seen_and_stays_where_much_is() -> None:
-    plain, sparse = block(), block(least=RARE)
+    plain, sparse = block(), block(sizes=RARE)
     little, much = 0.02, 0.6
     for measured, shrinks in ((little, True), (much, False)):
         first = first_site(sparse)
@@ -85,4 +85,4 @@ def test_a_sparse_parameter_shrinks_where_nothing_is_seen_and_stays_where_much_i
 def test_only_priors_that_are_not_normal_have_sites() -> None:
     assert not is_shaped(block())
     assert is_shaped(block(POSITIVE))
-    assert is_shaped(block(least=RARE))
+    assert is_shaped(block(sizes=RARE))
