@@ -16,7 +16,7 @@ from hypothesis import given, settings, strategies as st
 from manifold3d import Manifold, Mesh64
 from typer.testing import CliRunner
 
-from onebend.beam.stiffness import Powers, broken_line
+from onebend.beam.stiffness import Polyline, Powers
 from onebend.cli import app
 from onebend.errors import MechanicsError
 from onebend.lab.designs import DESIGNS, Design
@@ -207,7 +207,7 @@ def test_any_design_makes_parts_that_close(
     length: float, depth: float, widths: list[float], kind: Any, draft: float
 ) -> None:
     s = tuple(np.linspace(0.0, 1.0, len(widths)).tolist())
-    design = Design("any", length, depth, broken_line(s, tuple(widths)), 1e6, 0.0, 1080.0)
+    design = Design("any", length, depth, Polyline(s, tuple(widths), s[1:-1]), 1e6, 0.0, 1080.0)
     found = mould(design, replace(SMOOTH, kind=kind, draft=draft))
     assert all(part.mesh.is_watertight for part in found.parts)
     middle = 0.5e3 * depth * (1.0 + 1e-6)
