@@ -380,6 +380,11 @@ def tags_among(seen: Markers | Observations) -> BoolArray:
     return np.ones(seen.xy.shape[1], dtype=bool) if seen.traced is None else ~seen.traced
 
 
+def marker_words(number: int, s: float) -> str:
+    """A tag by its id in `recording.toml`, a point of the outline by its place."""
+    return f"tag {number}" if number < POINT_ID else f"the outline at s = {s:.2g}"
+
+
 FEW = 6  # points of an outline that are read where there are no tags
 
 

@@ -32,7 +32,7 @@ from onebend.recording.photos import read_photo
 from onebend.recording.preview import Preview, bent
 from onebend.recording.signals import runs
 from onebend.recording.video import KeptFrames, roundest
-from onebend.records import Array, BoolArray, ForceLog, Observations, View, tags_among
+from onebend.records import POINT_ID, Array, BoolArray, ForceLog, Observations, View, tags_among
 from onebend.report.overview import SOFTWARE, Overview, tared
 from onebend.report.pictures import Draw, Pictures, draw, film_of, film_strip, reason_of
 from onebend.report.style import (
@@ -394,7 +394,8 @@ def residuals(comparison: Comparison, title: str = "measured to simulated") -> F
             panels[1].plot(*residual[:, i].T, shape(i), color=tint, markersize=2.6, alpha=0.5, markeredgewidth=0)
     left.set(xlabel=_time_label(comparison), ylabel="distance [mm]", ylim=(0, None))
     left.set_title(f"{figure_text(comparison.name)}: {title}")
-    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=max(2, min(3, count)), fontsize=8)
+    columns = 3 if count > 2 and comparison.tag_id.max() < POINT_ID else 2
+    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=columns, fontsize=8)
     for plane in panels[1:]:
         plane.axhline(0, color=MUTED, linewidth=0.8)
         plane.axvline(0, color=MUTED, linewidth=0.8)
