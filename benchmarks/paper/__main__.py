@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +11,7 @@ from rich.console import Console
 import onebend
 from benchmarks.paper import report, study
 from onebend.cli import BY, common
+from onebend.files.publish import write_summary
 from onebend.options import expanded
 from onebend.report.wording import UNKNOWN, millimetres
 
@@ -47,22 +47,18 @@ def reproduce(
     output: Out,
     setting: study.StudySettings,
     processes: Processes = None,
-    overwrite: common.Overwrite = False,
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
     """Repeat the paper's experiments: films of three beams, tables, figures and tasks in one report."""
-    with (
-        common.clean_errors(),
-        common.workplace(output, report.REPRODUCE_FORMAT, overwrite) as place,
-        common.progress_of(quiet) as progress,
-    ):
-        found = study.reproduce(place.work, setting, written_by=BY, processes=processes or 0, progress=progress)
+    with common.clean_errors(), common.progress_of(quiet) as progress:
+        found = study.reproduce(output, setting, written_by=BY, processes=processes or 0, progress=progress)
         pictures = report.draw_figures(found, progress=progress)
-        summary = report.summary_of(found, written_by=BY)
-        tables = partial(report.write_report, outcome=found, figures=pictures.drawn, version=onebend.__version__)
-        made_from = common.made_from_files((), {"study": setting})
-        common.put_results(place, summary, tables, pictures, figures="figures", made_from=made_from)
+        common.say_failed(pictures.failed)
+        pictures.write(output / "figures")
+        report.write_report(output, found, pictures.drawn, version=onebend.__version__)
+        summary = {**report.summary_of(found, written_by=BY), **common.made_from_files((), {"study": setting})}
+        write_summary(output, summary)
     common.answer(as_json, summary, lambda console: show(console, found, output), output)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -530,11 +528,8 @@ def summary_of(outcome: study.StudyOutcome, *, written_by: str) -> dict[str, Any
 
 
 def write_report(folder: Path, outcome: study.StudyOutcome, figures: Mapping[str, bytes], *, version: str) -> None:
-    """Page, tables, recordings and learned beams. `figures`: PNGs by name."""
+    """Page and tables. `figures`: PNGs by name."""
     (folder / "report.html").write_text(page(outcome, figures, version=version), encoding="utf-8")
-    (folder / "tables").mkdir()
+    (folder / "tables").mkdir(exist_ok=True)
     for table in (*all_tables(outcome), *map(stiffness_curves, outcome.beams)):
         write_table(folder / "tables" / f"{table.key}.csv", table)
-    for name in (study.RECORDINGS, study.OBSERVED, study.LEARNED):
-        if (outcome.work / name).exists():
-            shutil.copytree(outcome.work / name, folder / name, copy_function=os.link)

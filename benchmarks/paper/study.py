@@ -467,17 +467,16 @@ def reproduce(
 
 
 def claim(work: Path, setting: StudySettings) -> None:
-    """Store the settings in the working folder, or check that they match."""
+    """Store the settings in the folder, or check that they match."""
     file = work / SETTING_FILE
     text = json.dumps(asdict(setting), sort_keys=True)
-    if file.exists():
-        if file.read_text(encoding="utf-8") != text:
-            raise ResultsError(
-                f"{work}: holds the unfinished work of a run with other settings. Remove it, or choose another -o"
-            )
-        return
-    work.mkdir(parents=True, exist_ok=True)
-    file.write_text(text, encoding="utf-8")
+    if not file.exists():
+        if work.exists() and any(work.iterdir()):
+            raise ResultsError(f"{work}: is not empty, and holds no study. Choose another -o")
+        work.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+    elif file.read_text(encoding="utf-8") != text:
+        raise ResultsError(f"{work}: holds a study with other settings. Remove it, or choose another -o")
 
 
 def assumed(outcome: StudyOutcome) -> list[str]:

@@ -46,7 +46,6 @@ def run(out: Path, mark: str, *, twice: bool = False, overwrite: bool = True) ->
     """As the command line works."""
     place = prepare(out, kind=KIND, overwrite=overwrite)
     try:
-        (place.work / "kept.npz").write_bytes(b"found so far")
         publish(place, partial(write, mark=mark))
         if twice:
             publish(place, partial(write, mark=f"{mark}-again"))

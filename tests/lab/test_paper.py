@@ -49,14 +49,13 @@ from benchmarks.paper.study import (
     sensor_of,
 )
 from onebend.errors import RecordingError, ResultsError
-from onebend.files.publish import files_in, seal, write_summary
 from onebend.lab.designs import DESIGNS
 from onebend.learning.paper import information_criterion
 from onebend.progress import in_processes
 from onebend.records import Observations
-from onebend.report.pictures import Pictures
 from onebend.results.model import read_model
 from onebend.results.observations_file import load_observations, save_observations
+from onebend.text_files import to_json
 from tests import made_up
 
 TINY = StudySettings(seed=3, quick=True, video=False)
@@ -228,23 +227,13 @@ def test_page_is_whole_and_fetches_nothing(found: StudyOutcome) -> None:
         assert part in text
 
 
-def test_a_folder_is_written_whole(found: StudyOutcome, tmp_path: Path) -> None:
-    work, out = tmp_path / "work", tmp_path / "out"
-    (work / "learned").mkdir(parents=True)
-    (work / "learned" / "model.json").write_text("{}", encoding="utf-8")
-    out.mkdir()
-    pictures = Pictures({"summary": b"\x89PNG"})
-    write_report(out, replace(found, work=work), pictures.drawn, version="0")
-    pictures.write(out / "figures")
-    write_summary(out, summary_of(found, written_by="a test"))
-    seal(out, {})
-    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    assert set(files_in(out)) == set(summary["files"])
-    assert (work / "learned" / "model.json").exists()
-    assert (out / "learned" / "model.json").exists()
+def test_all_tables_are_written(found: StudyOutcome, tmp_path: Path) -> None:
+    write_report(tmp_path, found, {"summary": b"\x89PNG"}, version="0")
+    summary = json.loads(to_json(summary_of(found, written_by="a test")))
     assert summary["tables"]["table-II"]["rows"][5]["printed_M3_m"] == 0.0021
+    assert (tmp_path / "report.html").is_file()
     for table in all_tables(found):
-        with (out / "tables" / f"{table.key}.csv").open(encoding="utf-8") as file:
+        with (tmp_path / "tables" / f"{table.key}.csv").open(encoding="utf-8") as file:
             rows = list(csv.reader(file))
         assert tuple(rows[0]) == table.columns
         assert len(rows) == len(table.rows) + 1

@@ -26,7 +26,8 @@ from onebend.live.recording_folder import FilmWriter
 from onebend.options import expanded
 from onebend.studio.filming import MadeRecording, RecorderProcess, check_source, sources_data, wanted_recording
 from onebend.studio.places import StudioFolder
-from onebend.studio.recorder import WIDEST, Talk, check_data, settings_of, small_jpeg, state_data, work
+from onebend.studio.recorder import QUALITY, WIDEST, Talk, check_data, settings_of, state_data, work
+from onebend.studio.recordings import jpeg_in
 from tests.live.streamed import frames, log, toml
 from tests.recording.filmed import HEIGHT, WIDTH
 from tests.studio.conftest import own
@@ -178,7 +179,7 @@ def test_the_sources_are_the_recorders(places: StudioFolder) -> None:
     assert "log:REC" in [one["example"] for one in found["forces"]]
 
 
-def lines_of(memory: io.BytesIO) -> list[dict[str, Any]]:
+def lines_of(memory: io.StringIO) -> list[dict[str, Any]]:
     return [json.loads(line) for line in memory.getvalue().splitlines()]
 
 
@@ -187,7 +188,7 @@ def test_what_is_recorded_is_told_with_pictures_tags_and_advice(
 ) -> None:
     monkeypatch.chdir(places.root)
     monkeypatch.setattr("onebend.studio.recorder.OFTEN", 0.0)
-    memory = io.BytesIO()
+    memory = io.StringIO()
     wanted = wanted_recording(places, asked(fast=True, no_learning=True, out="told"))
     outcome = work(wanted, Talk(memory), threading.Event(), threading.Event())
     assert outcome.film is not None
@@ -213,10 +214,10 @@ def test_what_is_recorded_is_told_with_pictures_tags_and_advice(
 
 
 def test_the_last_state_is_told_and_a_studio_that_stands_still_holds_nothing_up() -> None:
-    free, memory = threading.Event(), io.BytesIO()
+    free, memory = threading.Event(), io.StringIO()
 
-    class Stuck(io.BytesIO):
-        def write(self, data: Any) -> int:
+    class Stuck(io.StringIO):
+        def write(self, data: str) -> int:
             free.wait(10.0)
             return memory.write(data)
 
@@ -230,7 +231,8 @@ def test_the_last_state_is_told_and_a_studio_that_stands_still_holds_nothing_up(
 
 
 def test_a_large_picture_is_made_small() -> None:
-    image = Image.open(io.BytesIO(small_jpeg(np.zeros((1000, 2500), np.uint8))))
+    written = jpeg_in(Image.new("L", (2500, 1000)), WIDEST, QUALITY)
+    image = Image.open(io.BytesIO(base64.b64decode(written)))
     assert image.width <= WIDEST
     assert image.width / image.height == pytest.approx(2.5, rel=0.01)
     assert state_data(CaptureState("exposure"))["size_px"] is None

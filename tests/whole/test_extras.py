@@ -14,7 +14,7 @@ from onebend.results.model import save_model
 from tests import made_up
 
 ROOT = Path(__file__).parents[2]
-OF_EXTRAS = ("cv2", "distributed", "lxml", "manifold3d", "networkx", "rosbags", "starlette", "trimesh")
+OF_EXTRAS = ("cv2", "lxml", "manifold3d", "networkx", "rosbags", "starlette", "trimesh")
 VIDEO = str(ROOT / "examples/linear-beam/train/video.mp4")
 
 
@@ -40,7 +40,6 @@ def test_a_missing_package_is_an_error_of_onebend_and_an_import_error() -> None:
         ("make", ("mould", "linear", "-o", "OUT")),
         ("ros", ("topics", "BAG")),
         ("calibrate", ("calibrate", VIDEO, "--board", "chessboard", "9x6", "--square-mm", "20")),
-        ("batch", ("batch", str(ROOT / "examples/linear-beam"), "-o", "OUT")),
         ("studio", ("studio", ".")),
     ],
 )

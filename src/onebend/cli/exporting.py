@@ -13,7 +13,7 @@ from onebend.errors import ExportError
 from onebend.export.export import KINDS, MOST_SAMPLES, TABLES, Kind, export, without
 from onebend.export.sample import RodSample, drawn, sample_of_model
 from onebend.files.publish import SUMMARY
-from onebend.files.single_file import check_name_free, write_file
+from onebend.files.single_file import write_files
 from onebend.results.model import StoredModel, model_file
 from onebend.text_files import read_json
 
@@ -67,10 +67,7 @@ def export_command(
         rod = sample_of_model(stored, mass=mass, damping_time=damping_time, sites=sites, told=told)
         draws = () if samples is None else drawn(rod, samples, seed=seed)
         files = _files(path, to, rod, draws, hinges)
-        for name in files:
-            check_name_free(name, overwrite=overwrite)
-        for name, content in files.items():
-            write_file(name, content, overwrite=overwrite)
+        write_files(files, overwrite=overwrite)
         first, *more = files
         common.say(f"Wrote {first}{f' and {len(more)} more' if more else ''}: {KINDS[to].says}.")
         for sentence in without(rod, to):

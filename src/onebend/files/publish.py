@@ -75,10 +75,7 @@ def seal(folder: Path, more: Mapping[str, Any]) -> None:
 def read_summary(folder: Path) -> dict[str, Any] | None:
     """The summary; None if absent or changed."""
     data = read_object(folder / SUMMARY, LARGEST)
-    try:
-        return data if data is not None and is_unchanged(data) and isinstance(data.get("files"), dict) else None
-    except (ValueError, TypeError, RecursionError):
-        return None
+    return data if data is not None and is_unchanged(data) and isinstance(data.get("files"), dict) else None
 
 
 def read_object(file: Path, most: int) -> dict[str, Any] | None:
@@ -202,8 +199,7 @@ def _move_in(complete: Path, out: Path) -> None:
     shutil.rmtree(complete)
 
 
-# A working folder beside the target, which locks the target. A locked one says who is writing; an unlocked one was left
-# behind, and is continued by a run of the same kind.
+# A working folder beside the target, which locks the target. A locked one says who is writing.
 
 MARKER = "workplace.json"
 LONGEST = 40  # characters of the target's name
@@ -217,14 +213,14 @@ class OutputFolder:
 
     out: Path
     kind: str  # the summary's `format`: results replace only their own kind
-    work: Path  # kept on interruption; the next run continues
+    work: Path
     lock: int  # number of the open marker
     overwrite: bool = False
     published: bool = False
 
 
 def enter(target: Path, kind: str) -> OutputFolder:
-    """A locked workplace for `target`, left behind by a run of this kind or new.
+    """A locked workplace for `target`. What an interrupted run has begun to move in is moved in.
 
     Raises `ResultsError`: another process writes to the target, or the workplace is not ours. Raises `OSError`: the
     folder cannot be made.
@@ -235,10 +231,8 @@ def enter(target: Path, kind: str) -> OutputFolder:
     try:
         if (work / MOVING).is_dir():
             _move_in(work / MOVING, target)
-        if _marker(work).get("kind") != kind:
-            _empty(work)
         since = datetime.now().astimezone().isoformat(timespec="seconds")
-        who = {"kind": kind, "process": os.getpid(), "host": socket.gethostname(), "since": since}
+        who = {"process": os.getpid(), "host": socket.gethostname(), "since": since}
         os.ftruncate(number, 0)
         os.write(number, json.dumps(who).encode())
     except BaseException:
@@ -261,7 +255,8 @@ def _locked(work: Path, target: Path) -> int:
                 fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             os.close(number)
-            who = "process {process} on {host} since {since}".format_map(defaultdict(lambda: "?", _marker(work)))
+            said = read_object(work / MARKER, LARGEST_MARKER) or {}
+            who = "process {process} on {host} since {since}".format_map(defaultdict(lambda: "?", said))
             raise ResultsError(f"{target}: is being written by {who}. Wait for it, or choose another -o") from None
         except OSError:  # no locks on this file system
             return number
@@ -269,10 +264,6 @@ def _locked(work: Path, target: Path) -> int:
             if os.path.samestat(os.fstat(number), (work / MARKER).lstat()):
                 return number
         os.close(number)
-
-
-def _marker(work: Path) -> dict[str, Any]:
-    return read_object(work / MARKER, LARGEST_MARKER) or {}
 
 
 def _check_private(work: Path) -> None:
@@ -283,15 +274,6 @@ def _check_private(work: Path) -> None:
     unmarked = bool(inside) and MARKER not in (path.name for path in inside)
     if others or unmarked or any(path.is_symlink() for path in inside):
         raise ResultsError(f"{work}: is in the way of a run's own folder, and not of onebend. Move it away")
-
-
-def _empty(work: Path) -> None:
-    """Deletes all but the marker."""
-    for path in work.iterdir():
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path, ignore_errors=True)
-        elif path.name != MARKER:
-            path.unlink(missing_ok=True)
 
 
 def prepare(out: Path, *, kind: str, overwrite: bool) -> OutputFolder:
@@ -351,22 +333,23 @@ def unplaced(place: OutputFolder) -> Path | None:
 
 def finish(place: OutputFolder) -> None:
     """Removes the workplace, its marker last, and releases the lock."""
-    _empty(place.work)
+    for path in place.work.iterdir():
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        elif path.name != MARKER:
+            path.unlink(missing_ok=True)
     (place.work / MARKER).unlink(missing_ok=True)
     with suppress(OSError):  # the next run is in it
         place.work.rmdir()
     os.close(place.lock)
 
 
-def abandon(place: OutputFolder) -> bool:
-    """After an early end: keeps finished parts in the workplace; whether there are any."""
-    for name in (UNFINISHED, COMPLETE) if place.published else (UNFINISHED,):
-        shutil.rmtree(place.work / name, ignore_errors=True)
-    if any(path.name != MARKER for path in place.work.iterdir()):
+def abandon(place: OutputFolder) -> None:
+    """After an early end: keeps results that are complete, if they are not in place."""
+    if unplaced(place) is None and not (place.work / MOVING).is_dir():
+        finish(place)
+    else:
         os.close(place.lock)
-        return True
-    finish(place)
-    return False
 
 
 def amend(file: Path, data: bytes) -> bool:

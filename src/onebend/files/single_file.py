@@ -6,7 +6,7 @@ import io
 import os
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,6 +27,14 @@ def write_file(path: Path, data: str | bytes, *, overwrite: bool = False) -> Non
     written."""
     with fresh_file(path, overwrite=overwrite) as beside, _as_results_error(path):
         beside.write_bytes(data.encode("utf-8") if isinstance(data, str) else data)
+
+
+def write_files(files: Mapping[Path, str | bytes], *, overwrite: bool = False) -> None:
+    """Writes all, or none where one of them must not be replaced. Raises `ResultsError` as `write_file`."""
+    for path in files:
+        check_name_free(path, overwrite=overwrite)
+    for path, data in files.items():
+        write_file(path, data, overwrite=overwrite)
 
 
 @contextmanager

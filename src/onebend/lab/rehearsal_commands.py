@@ -246,9 +246,8 @@ def rehearse(
         )
         with common.place_for(output, REHEARSE_FORMAT, overwrite) as place, common.progress_of(quiet) as progress:
             inputs = () if place is None else inputs_of([Path(design)])
-            keep = None if place is None else place.work  # runs are stored there as they end
             settings = {"runs": runs, "seed": seed, "jobs": jobs or available_cores(), "count": count}
-            found = make_rehearsal(setup, **settings, keep=keep, progress=progress)
+            found = make_rehearsal(setup, **settings, progress=progress)
             if place is not None:
                 pictures = draw({"rehearsal": partial(rehearsal_figure, found)})
                 whole = {**summary_of(found, written_by=BY), "runs": [run.as_dict() for run in found.runs]}

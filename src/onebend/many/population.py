@@ -271,7 +271,7 @@ ADVICE = (
     "recordings in its list"
 )
 FEWEST = 2  # objects of at least one group, for a spread
-OURS = ("reason", "grade", "doubts", "warnings", "outlier", "hash", "path", "finished")
+OURS = ("reason", "grade", "doubts", "warnings", "hash", "path", "finished")
 
 
 @dataclass(frozen=True)

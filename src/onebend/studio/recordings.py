@@ -176,16 +176,20 @@ def _frame(path: Path, topic: str, family: str, _changed: int, _size: int) -> di
         raise RecordingError(f"{path.name} holds no frame. Copy it again from the camera")
     image = Image.fromarray(found[1])
     seen = Finder(family).look(np.asarray(image.convert("L")))
-    small = image.copy()
-    small.thumbnail((WIDEST, WIDEST))
-    stream = io.BytesIO()
-    small.save(stream, format="JPEG", quality=QUALITY)
     return {
         "width": image.width,
         "height": image.height,
-        "picture": "data:image/jpeg;base64," + base64.b64encode(stream.getvalue()).decode("ascii"),
+        "picture": "data:image/jpeg;base64," + jpeg_in(image, WIDEST, QUALITY),
         "tags": [{"id": one.tag_id, "corners": one.corners.round(1).tolist()} for one in seen],
     }
+
+
+def jpeg_in(picture: Image.Image, widest: int, quality: int) -> str:
+    """A picture at most `widest` px wide or high as JPEG, in base64."""
+    small, memory = picture.copy(), io.BytesIO()
+    small.thumbnail((widest, widest))
+    small.save(memory, format="JPEG", quality=quality)
+    return base64.b64encode(memory.getvalue()).decode("ascii")
 
 
 def check_picture_of(places: StudioFolder, name: str) -> bytes:
