@@ -31,7 +31,7 @@ Entry = Literal["log k", "force", "place", "load", "clamp", "poses", "section", 
 
 
 ANYTHING, POSITIVE = (-np.inf, np.inf), (0.0, np.inf)
-# `Allowance.sizes` of an effect that most benches lack: from nothing on, each factor of two is as probable as any other.
+# `Allowance.sizes` of an effect that most benches lack: each factor of two is as probable as any other.
 RARE = tuple(np.geomspace(0.005, 2.0, 17).tolist())
 
 

@@ -36,7 +36,8 @@ class _Choice:
 
 
 def with_sharp_steps(problem: FitProblem, estimate: MapEstimate) -> MapEstimate:
-    """The maximum with few steps and bumps if its evidence is greater than that of `estimate`, else `estimate`."""
+    """The maximum with few steps and bumps if its evidence is greater than that of `estimate`, and the model that is
+    linear about it would choose some again; else `estimate`."""
     if problem.layout.known is not None:
         return estimate
     evidence = evidence_at(problem, estimate)
@@ -46,7 +47,9 @@ def with_sharp_steps(problem: FitProblem, estimate: MapEstimate) -> MapEstimate:
     trial = estimate
     for _ in range(_ROUNDS):
         choice = chosen(evidence.stiffness_form(now), spline, problem.level)
-        if not choice.count or any(np.array_equal(choice.variances, one) for one in tried):
+        if not choice.count:  # nor does the model about the maximum with steps want any
+            return estimate
+        if any(np.array_equal(choice.variances, one) for one in tried):
             break
         tried.append(choice.variances)
         variances = np.maximum(choice.variances, _LEAST)
