@@ -237,21 +237,36 @@ def smooth_functions(course: PushCourse) -> Array:
 
 
 OUTLINE_SD = 5e-5  # m, of each function's coefficient, before the evidence has chosen
+LIGHT_SD = 2e-4  # m
 _TERMS = 6  # Legendre polynomials along the body
 
 
 def outline_error(course: PushCourse) -> Allowance | None:
-    """The error of an outline, smooth along the body: one that stays, and two that grow with the bending (light and
-    shade turn with the body, walls come into sight)."""
-    if course.film is None or course.on_body.all():
+    """The error of an outline that grows with the bending, smooth along the body: walls come into sight."""
+    if (film := _outlined(course)) is None:
         return None
-    across = course.film.across
-    in_time = np.column_stack([np.ones(len(across)), course.bend, course.bend**2])  # (F, 3)
+    in_time = np.column_stack([course.bend, course.bend**2])  # (F, 2)
     along = np.polynomial.legendre.legvander(2.0 * course.marker_s - 1.0, _TERMS - 1)  # (m, n)
-    basis = np.zeros((*across.shape[:2], 3, 3 * _TERMS))
-    basis[:, :, :2] = np.einsum("fmc,ft,mn->fmctn", across, in_time, along).reshape(*across.shape, -1)
-    labels = tuple(f"outline error {t}{n}" for t in ("stays", "grows", "grows more") for n in range(_TERMS))
+    shape = (*film.across.shape[:2], 3, 2 * _TERMS)
+    basis = np.zeros(shape)
+    basis[:, :, :2] = np.einsum("fmc,ft,mn->fmctn", film.across, in_time, along).reshape(*film.across.shape, -1)
+    labels = tuple(f"outline error {t}{n}" for t in ("grows", "grows more") for n in range(_TERMS))
     return Allowance("outline", "poses", "m", labels, np.full(len(labels), OUTLINE_SD), basis, sized=True)
+
+
+def light(course: PushCourse) -> Allowance | None:
+    """Light from one side, and shadow, move both edges the same way in the picture, however the body is turned."""
+    if (film := _outlined(course)) is None:
+        return None
+    across = film.across
+    basis = np.zeros((*across.shape[:2], 3, 2))
+    basis[:, :, :2] = across[..., :, None] * across[..., None, :]
+    return Allowance("light", "poses", "m", ("edges lie off in x", "edges lie off in y"), np.full(2, LIGHT_SD), basis)
+
+
+def _outlined(course: PushCourse) -> Film | None:
+    """The film that shows an outline."""
+    return None if course.on_body.all() else course.film
 
 
 _WINDOW, _DEGREE = 7, 3  # frames and degree of the polynomial whose curvature is the acceleration
@@ -702,6 +717,7 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(
         "discrepancy": Effect(LEFT, discrepancy),
         "angle discrepancy": Effect(LEFT, angle_discrepancy),
         "outline": Effect("outline", outline_error, live=False),
+        "light": Effect("outline", light, live=False),
         "slide": Effect("sliding contact", sliding),
         "rub": Effect("friction of the tool", rubbing, live=False),
         "posture": Effect("posture-dependent bias", posture_bias),
