@@ -9,7 +9,7 @@ import numpy as np
 
 from onebend.learning.condensed import white_share
 from onebend.learning.fit_data import fit_data
-from onebend.learning.frames import read_alone, whitening_across
+from onebend.learning.frames import pose_whitening, read_alone
 from onebend.learning.instruments import instruments_of, setup_of
 from onebend.learning.parameters import Spline
 from onebend.learning.posterior import fit
@@ -90,7 +90,7 @@ def test_a_point_that_was_not_seen_counts_for_nothing() -> None:
     across = np.tile([0.0, 1.0], (2, 3, 1))
     measured = np.zeros((2, 3, 3))
     measured[0, 1] = np.nan
-    whiten = whitening_across(measured, np.tile(1e-8 * np.eye(3), (2, 3, 1, 1)), across)
+    whiten = pose_whitening(traced(), measured, np.tile(1e-8 * np.eye(3), (2, 3, 1, 1)), across)
     assert np.all(whiten[0, 1] == 0.0)
     np.testing.assert_allclose(whiten[1, 1, 1, :2], [0.0, 1e4])
 

@@ -78,7 +78,7 @@ def traced(pictures: Sequence[Planes]) -> OutlineTrack:
     found, half = outline.follow(sights, stations, hidden, "painted")
     middle = outline.centreline(found, stations, half, MEASURED / scale)
     outline.refuse_lost(middle, found, ~hidden, "painted")
-    return outline.points_of(middle, found, stations, sights, scale)
+    return outline.often_seen(outline.points_of(middle, found, stations, sights, scale))
 
 
 def errors(track: OutlineTrack, bend: Array, seen: View = VIEW) -> Array:

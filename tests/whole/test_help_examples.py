@@ -113,7 +113,7 @@ def test_a_shell_completes_commands_options_and_choices() -> None:
     assert completed("bash", COMP_WORDS="onebend re", COMP_CWORD="1").split() == [
         name for name in COMMANDS if name.startswith("re")
     ]
-    assert completed("bash", COMP_WORDS="onebend new --ph", COMP_CWORD="2").split() == ["--photos"]
+    assert completed("bash", COMP_WORDS="onebend new --mo", COMP_CWORD="2").split() == ["--mocap"]
     assert '"--mocap"' in completed("zsh", _TYPER_COMPLETE_ARGS="onebend new --moc")
     asked = {"_TYPER_COMPLETE_FISH_ACTION": "get-args", "_TYPER_COMPLETE_ARGS": "onebend le"}
     assert completed("fish", **asked).startswith("learn\t")

@@ -21,6 +21,7 @@ from typer.testing import CliRunner
 from onebend.cli import all_commands, app
 from tests.recording import bagged
 from tests.recording.test_photos import folder_of as photo_folder
+from tests.recording.test_traced_photos import LEVEL, folder_of as traced_folder, painted
 from tests.recording.tracked import track_folder
 from tests.report.page.browser import BROWSERS
 
@@ -99,6 +100,11 @@ def weighed(here: Path, folder: str) -> None:
         shutil.copytree(ROOT / "examples" / "hung-weights", here / folder, dirs_exist_ok=True)
 
 
+def traced(here: Path, folder: str) -> None:
+    shutil.rmtree(here / folder)
+    traced_folder(here / folder, painted(LEVEL), LEVEL)
+
+
 def tracked(here: Path, folder: str) -> None:
     track_folder(here / folder)
     shutil.copytree(here / folder, here / "my-second-push", dirs_exist_ok=True)
@@ -113,6 +119,7 @@ FILLED: dict[str, Callable[[Path, str], None]] = {
     "mocap": tracked,
     "classroom": weighed,
     "without-tags": bare,
+    "photo": traced,
 }
 
 

@@ -101,6 +101,7 @@ VideoKind = Annotated[bool, typer.Option("--video", help="A film of the tags and
 RosKind = Annotated[
     Path | None, typer.Option("--ros", metavar="BAG", help="A ROS bag with film and force; topics are filled in.")
 ]
+PhotoKind = Annotated[bool, typer.Option("--photo", help="A photo of a body without tags, bent by its own weight.")]
 PhotosKind = Annotated[bool, typer.Option("--photos", help="Photos of the tags under known loads.")]
 WeightsKind = Annotated[bool, typer.Option("--weights", help="Points measured by hand under hung weights.")]
 MocapKind = Annotated[bool, typer.Option("--mocap", help="Tracks of motion capture and a force log.")]
@@ -109,6 +110,7 @@ Yes = Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing, and leave e
 BESIDE: dict[Kind, str] = {
     "video": "put the video and the force log beside it",
     "ros": "leave the bag where it is",
+    "photo": "put the photo into photos, list it in loads.csv, and points along the body in clicks.csv",
     "photos": "put the photos into photos, list their loads in loads.csv",
     "weights": "fill in poses.csv and loads.csv",
     "mocap": "put the tracks and the force log beside it",
@@ -126,6 +128,7 @@ def new(
     *,
     video: VideoKind = False,
     ros: RosKind = None,
+    photo: PhotoKind = False,
     photos: PhotosKind = False,
     weights: WeightsKind = False,
     mocap: MocapKind = False,
@@ -133,7 +136,7 @@ def new(
     yes: Yes = False,
 ) -> None:
     asked: dict[Kind, bool] = {
-        "video": video, "ros": ros is not None, "photos": photos, "weights": weights, "mocap": mocap
+        "video": video, "ros": ros is not None, "photo": photo, "photos": photos, "weights": weights, "mocap": mocap
     }  # fmt: skip
     kinds = [kind for kind, wanted in asked.items() if wanted]
     with common.clean_errors():

@@ -24,7 +24,7 @@ from onebend.learning.allowances import (
     weight_beyond,
 )
 from onebend.learning.force_error import ForceError, force_error
-from onebend.learning.frames import known_loads, mass_profile, pose_whitening, push_places, typical, whitening_across
+from onebend.learning.frames import known_loads, mass_profile, pose_whitening, push_places, typical
 from onebend.learning.parameters import NEEDS_MASS, KnownShape, Priors, Spline, curvature_sd
 from onebend.learning.static_poses import HeldEnds, SeenPoses, held_ends, resolution_of, seen_poses
 from onebend.recording.signals import low_pass
@@ -273,9 +273,7 @@ def fit_data(
     direction = measured[:, ~tags, 2]
     across[:, ~tags] = np.stack([-np.sin(direction), np.cos(direction)], axis=-1)
     measured[:, ~tags, 2] = np.nan
-    whiten = pose_whitening(o, measured, covariance)
-    if not tags.all():
-        whiten[:, ~tags] = whitening_across(measured, covariance, across)[:, ~tags]
+    whiten = pose_whitening(o, measured, covariance, across)
     weighs = bool(np.any(gravity != 0.0))
     if weighs and not np.isfinite(o.stated.mass):
         raise LearningError(f"{o.source.name}: {NEEDS_MASS}")

@@ -195,17 +195,6 @@ def whitening(measured: Array, covariance: Array) -> Array:
     return _inverse_root(covariance, _known(measured, covariance))
 
 
-def whitening_across(measured: Array, covariance: Array, across: Array) -> Array:
-    """(F, m, 3, 3) whitening of points (F, m, 3) of which only the place along `across` (F, m, 2) is measured."""
-    variance = np.einsum("fmi,fmij,fmj->fm", across, covariance[..., :2, :2], across)
-    known = np.isfinite(measured[..., :2]).all(axis=-1) & (variance > 0.0)
-    row = np.where(known[..., None], across / np.sqrt(np.where(known, variance, 1.0))[..., None], 0.0)
-    mostly_y = np.abs(across[..., 1]) > np.abs(across[..., 0])  # the row of the coordinate that it tells most of
-    out = np.zeros((*measured.shape, 3))
-    out[..., 0, :2], out[..., 1, :2] = row * ~mostly_y[..., None], row * mostly_y[..., None]
-    return out
-
-
 def _known(measured: Array, covariance: Array) -> BoolArray:
     """(..., 3) which numbers of poses (..., 3) are measured, with a covariance (..., 3, 3)."""
     return np.asarray(np.isfinite(measured) & np.all(np.isfinite(covariance), axis=(-1, -2))[..., None])
@@ -259,30 +248,43 @@ def typical(values: Array) -> Array:
 
 STEEPEST = 0.05  # cosine of the beam's angle under a ruler, at least
 _LOOKED_AT = np.linspace(0.0, 1.0, 201)
+_OWN = 0.1  # of the variance across a curve whose errors are alike along it: each point's own, as of its edges
 _HALF = 1.678346990016661  # where `(1 + a) exp(-a)` is a half
 _SETTLE = 4  # steps of Newton's method from there
 
 
-def pose_whitening(o: Observations, measured: Array, covariance: Array) -> Array:
-    """Whitening matrices of poses (F, m, 3) with covariances (F, m, 3, 3), zero where a number is missing.
+def pose_whitening(o: Observations, measured: Array, covariance: Array, across: Array) -> Array:
+    """Whitening matrices of poses (F, m, 3) with covariances (F, m, 3, 3), zero where a number is missing. Of a point
+    with a direction `across` (F, m, 2), zeros at the others, only the place along that is measured.
 
     (F, m, 3, 3) for independent points; (F, 3 m, 3 m) where errors are correlated along the beam. Then errors of x and
-    y are a Matern 3/2 process with correlation `(1 + a) exp(-a)` at a distance d, `a = 1.68 d / error_length`.
-    Errors of angles are independent.
+    y are a Matern 3/2 process with correlation `(1 + a) exp(-a)` at a distance d, `a = 1.68 d / error_length`; a share
+    `_OWN` of the variance across a curve is each point's own. Errors of angles are independent.
     """
-    if o.readings.error_length == 0.0:
-        return whitening(measured, covariance)
     frames, m = measured.shape[:2]
+    known, onto = _known(measured, covariance), np.zeros((frames, m, 3, 3))
+    onto[:] = np.eye(3)
+    curve = np.any(across != 0.0, axis=-1)
+    if curve.any():  # one row of each such point: that of the coordinate which it tells most of
+        row = np.argmax(np.abs(across), axis=-1)[..., None] == np.arange(3)
+        known = np.where(curve[..., None], row & known[..., :2].all(axis=-1, keepdims=True), known)
+        along = np.concatenate([across, np.zeros((frames, m, 1))], axis=-1)
+        onto = np.where(curve[..., None, None], row[..., None] * along[..., None, :], onto)
+        covariance = onto @ covariance @ np.swapaxes(onto, -1, -2)
+    if o.readings.error_length == 0.0:
+        return _inverse_root(covariance, known) @ onto
     apart = o.length * np.abs(o.marker_s[:, None] - o.marker_s)
     share = _HALF * apart / o.readings.error_length
-    alike = np.ones((m, m, 3)) * ((1.0 + share) * np.exp(-share))[..., None]
+    alike = np.ones((frames, m, m, 3)) * ((1.0 + share) * np.exp(-share))[..., None]
     alike[..., 2] = np.eye(m)
-    known = _known(measured, covariance)
-    both = known[..., :, None] & known[..., None, :]
-    values, vectors = np.linalg.eigh(np.where(both, covariance, np.eye(3)))
+    own = _OWN * curve[..., None]
+    alike = alike * np.sqrt((1.0 - own[:, :, None]) * (1.0 - own[:, None]))
+    alike += own[:, :, None] * np.eye(m)[..., None]
+    values, vectors = np.linalg.eigh(np.where(known[..., :, None] & known[..., None, :], covariance, np.eye(3)))
     root = (vectors * np.sqrt(values)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
-    whole = np.einsum("fiab,ijb,fjcb->fiajc", root, alike, root).reshape(frames, 3 * m, 3 * m)
-    return _inverse_root(whole, known.reshape(frames, 3 * m))
+    whole = np.einsum("fiab,fijb,fjcb->fiajc", root, alike, root).reshape(frames, 3 * m, 3 * m)
+    whiten = _inverse_root(whole, known.reshape(frames, 3 * m)).reshape(frames, 3 * m, m, 3)
+    return np.asarray(np.einsum("frjb,fjbc->frjc", whiten, onto).reshape(whole.shape))
 
 
 def whitened(whiten: Array, poses: Array) -> Array:

@@ -17,12 +17,13 @@ from onebend.beam.statics import Equilibrium, correct, is_convex, is_stable
 from onebend.beam.stiffness import UncertainStiffness, half_width
 from onebend.learning.outcome import Notice
 from onebend.learning.parameters import KnownShape, Layout, forced, known_shape, needs_mass
-from onebend.records import Array, BoolArray, IntArray, Observations
+from onebend.records import UNKNOWN_ANGLE_SD, Array, BoolArray, IntArray, Observations, tags_among
 
 _SAME_BRANCH = 0.7  # rad, the largest turn of Newton's method from a shape that is still on its branch
 _ROPE = 20.0  # of `int sqrt(L N / k) ds`: above it the search may miss equilibria, and the shape seen is let fall, too
 _FAR = 0.03  # of the length: equilibria of a pose that are apart are farther apart than this, as a rule
 _FARTHER = 5.0  # times what is usual of the other poses
+_FARTHEST_TURN = 3.0  # sds of the clamp's direction
 _MOST_LEFT_OUT = 0.4  # of the poses
 _TIE = 9.0  # of chi squared over that of a reading: equilibria that differ by less are as good as each other
 
@@ -54,6 +55,7 @@ def seen_poses(o: Observations, frames: BoolArray) -> SeenPoses | None:
     unknown = np.full(len(o.time), np.nan)
     told = (unknown, unknown, unknown) if o.poses is None else (o.poses.clamp, o.poses.turned_from, o.poses.order)
     sd = np.sqrt(np.diagonal(o.covariance, axis1=-2, axis2=-1))
+    sd[:, ~tags_among(o), 2] = UNKNOWN_ANGLE_SD  # the direction of a curve is no measurement of its own
     return SeenPoses(o.marker_s, o.xy, o.angle, sd, *told).take(frames)
 
 
@@ -99,10 +101,19 @@ def pose_rms(off: Array) -> Array:
     return np.asarray(np.sqrt(np.nansum(off**2, axis=(1, 2)) / np.maximum(count, 1)))
 
 
-def unexplained(rms: Array, length: float) -> BoolArray:
-    """(P,) poses much farther from their equilibria than the others, by their RMS (P,) [m]; none if they are many."""
+def across_curve(o: Observations, frames: BoolArray, off: Array) -> Array:
+    """(F, m, 2) m, of distances in some frames (T,) what counts: of a curve's points the part across it."""
+    direction = np.where(tags_among(o), np.nan, o.angle[frames])
+    normal = np.stack([-np.sin(direction), np.cos(direction)], axis=-1)
+    return np.where(np.isfinite(normal), np.sum(off * normal, axis=-1, keepdims=True) * normal, off)
+
+
+def unexplained(rms: Array, length: float, clamp_sd: float = 0.0) -> BoolArray:
+    """(P,) poses much farther from their equilibria than the others, by their RMS (P,) [m]; none if they are many.
+    `clamp_sd` rad: of a direction that the equilibria do not know."""
     usual = float(np.median(rms)) if len(rms) > 1 else 0.0
-    out = rms > max(_FAR * length, _FARTHER * usual)
+    far = _FAR + _FARTHEST_TURN * float(np.nan_to_num(clamp_sd))
+    out = rms > max(far * length, _FARTHER * usual)
     return np.asarray(out & (np.sum(out) <= max(_MOST_LEFT_OUT * len(rms), 1.0)))
 
 

@@ -266,8 +266,8 @@ def _pose_notices(
 ) -> tuple[Notice, ...]:
     names = static_poses.pose_names(o, frames)
     free = np.ones(int(np.sum(frames)), dtype=bool) if o.held is None else ~o.held[frames]
-    rms = static_poses.pose_rms(o.xy[frames] - predicted)
-    unlike = static_poses.unexplained(rms, o.length) & free
+    rms = static_poses.pose_rms(static_poses.across_curve(o, frames, o.xy[frames] - predicted))
+    unlike = static_poses.unexplained(rms, o.length, o.stated.clamp_sd) & free
     off, other = static_poses.elsewhere(solved, seen)
     found = (("pose", rms, unlike), ("pose history", off, other & ~unlike & free))
     return tuple(Notice(code, {"poses": _farthest(names, far, which)}) for code, far, which in found if which.any())

@@ -94,6 +94,11 @@ def camera_record(data: dict[str, Any]) -> type:
     return entries.CameraInfoEntry if "camera_info" in keys else CameraEntry
 
 
+def is_clicked(data: dict[str, Any]) -> bool:
+    """Whether a person clicked along the body in photos, which then need no tag."""
+    return isinstance(data.get("photos"), dict) and "clicks" in data["photos"]
+
+
 def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
     """The tables and keys at the top of the file."""
     report_unknown(data, ["format", "name", *TABLES, "frequencies", "points"], (), mistakes)
@@ -114,8 +119,9 @@ def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
         text = f"[camera] camera_info stands for the whole calibration. Remove it, or {', '.join(sorted(more))}."
         mistakes.add(("camera", "camera_info"), text)
     for name, example in (("beam", "length_m = 0.15"), ("tags", "size_m = 0.012")):
-        if name not in data and not (name == "tags" and (alone or "points" in data)):
-            mistakes.add((), f"The file lacks the table [{name}]. Add `[{name}]` with `{example}`.")
+        if name not in data and not (name == "tags" and (alone or "points" in data or is_clicked(data))):
+            other = ", or `clicks` to [photos]" if name == "tags" and "photos" in data else ""
+            mistakes.add((), f"The file lacks the table [{name}]. Add `[{name}]` with `{example}`{other}.")
     for name in ("tags", "force", "push", "camera") if alone else ():
         if name in data:
             mistakes.add((name,), f"[{name}] goes with a film, tracks, poses or photos, and there is none. Remove it.")

@@ -331,7 +331,7 @@ class PosesEntry:
 
 @dataclass(frozen=True)
 class PhotosEntry:
-    """[photos]: stills of the tags, one a static pose, and what loaded the beam in each."""
+    """[photos]: stills of the body or of tags on it, one a static pose, and what loaded the beam in each."""
 
     folder: Path = key('folder = "photos"', text, "the folder with the pictures, relative to this one")
     loads: Path = key(
@@ -342,6 +342,13 @@ class PhotosEntry:
         one_of("beam", "room"),
         'the axes of the forces: "beam" (x along it at the clamp) or "room" (x horizontal, y up)',
         "beam",
+    )
+    clicks: Path | None = key(
+        'clicks = "clicks.csv"',
+        text,
+        "without tags on the body: a table with columns pose, x_px, y_px of two or more points along the middle of the "
+        "body in each picture, from the clamp to the tip; and s of the last, where it is not the tip",
+        None,
     )
     camera_moves: bool = key("camera_moves = false", flag, "whether the camera was moved between the pictures", False)
     load_sd: float = load_sd()
@@ -543,7 +550,9 @@ class Recording:
 
     @property
     def traces_outline(self) -> bool:
-        """Whether the body's outline is to be read from the film."""
+        """Whether the body's outline is to be read from the film or the photos."""
+        if self.photos is not None:
+            return not self.tags.on_beam
         if self.video is None:
             return False
         return not self.tags.on_beam if self.outline is None else self.outline.use

@@ -26,6 +26,7 @@ from onebend.recording.description import (
     check_top,
     empty_values,
     implausible,
+    is_clicked,
     read_beam,
     read_frequencies,
     read_tags,
@@ -186,7 +187,7 @@ def of_part(info: CameraInfo, matrix: Array) -> tuple[Array, str]:
 FILE_NAME = "recording.toml"
 BAGS = ("video", "force")  # whose file may be a bag
 FOLDERS = ("folder", "definitions")  # keys that name folders
-PATHS = ("file", "frame_times", "base_angle_file", "mass_file", "section_file", "loads", *FOLDERS)
+PATHS = ("file", "frame_times", "base_angle_file", "mass_file", "section_file", "loads", "clicks", *FOLDERS)
 CLAMP_ALONE = TagsEntry(on_beam=(TagEntry(id=0, s=0.0),))  # what is known where nothing is looked at
 LINE_NAMED = re.compile(r"\bline (\d+)\b")  # in what is said of text that is no TOML
 
@@ -259,10 +260,10 @@ def _described(folder: Path, data: dict[str, Any], mistakes: Mistakes, *, filmed
     """The recording that `data` describes, or None with the reasons in `mistakes`; `bags`: look into them too."""
     check_top(data, mistakes)
     swung = read_frequencies(data["frequencies"], mistakes) if "frequencies" in data else ()
-    tags: TagsEntry | None = CLAMP_ALONE
+    tags: TagsEntry | None = TagsEntry() if is_clicked(data) else CLAMP_ALONE
     if "tags" in data or "points" in data:
         outline, pictures = data.get("outline"), "video" in data or "photos" in data
-        bare = "video" in data and not (isinstance(outline, dict) and outline.get("use") is False)
+        bare = pictures and not (isinstance(outline, dict) and outline.get("use") is False)
         tags = read_tags(data.get("tags", {}), mistakes, pictures=pictures, bare=bare, points=data.get("points"))
     beam = read_beam(data["beam"], mistakes) if "beam" in data else None
     sections = {

@@ -29,7 +29,8 @@ from onebend.recording.pairing import (
     usable,
     without_slow_sensor,
 )
-from onebend.recording.poses import photo_observations, pose_observations
+from onebend.recording.photos import photo_observations
+from onebend.recording.poses import pose_observations
 from onebend.recording.signals import MOST_FRAMES, check_span
 from onebend.recording.stated import stated_in
 from onebend.recording.tags import detect_tags

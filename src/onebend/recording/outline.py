@@ -366,7 +366,7 @@ def appearance(sight: Sight, curve: Curve, half: Array, part: BoolArray, step: f
     colour = sight.planes.at(sight.pixels(curve.xy[part])[:, None] + across[:, None] * normal[:, None])
     pixel = MAD_TO_SD / math.sqrt(2.0) * np.nanmedian(np.abs(np.diff(colour, axis=0)), axis=(0, 1))
     smooth = np.lib.stride_tricks.sliding_window_view(colour, min(_SIDE, len(across)), axis=1).mean(axis=-1)
-    spread = MAD_TO_SD * np.nanmedian(np.abs(smooth - np.nanmedian(smooth, axis=1, keepdims=True)), axis=(0, 1))
+    spread = MAD_TO_SD * np.nanmedian(np.abs(smooth - nan_median(smooth, axis=1)[:, None]), axis=(0, 1))
     least = max(1.0, STEP_SHARE * step)  # of 255: no encoder keeps less
     return Look(np.maximum(spread, least), np.maximum(pixel, 1.0))
 
@@ -388,30 +388,43 @@ def grown(sight: Sight, stations: Stations, hidden: BoolArray, name: str, width:
     step = edge_size(sight, stations.curve(state), half, part) if np.isfinite(half).all() else 0.0
     front = begin + FIRST
     while True:
-        curve, part = stations.curve(state), (s <= front) & ~hidden
-        if np.isfinite(half).all():
-            look = appearance(sight, curve, half, part, step)
-            away = np.where(part, find_flanks(sight, curve, half, look), np.nan)
-            wide = running_median(away[0] - away[1], 9)
-            known = np.isfinite(wide)
-        if not np.isfinite(half).all() or known.sum() < 5:
+        part = (s <= front) & ~hidden
+        body = refined(sight, stations, state, half, part, step, STIFF if front < 1.0 else 1.0)
+        if body is None:
             raise ObservationError(
                 f"{name}: no body is seen beside the clamp: no two edges run along the base tag's direction. Check "
                 "length_m, size_m and the base tag's turn_deg, and that the body stands out from its background.",
                 about="outline",
             )
-        half = 0.5 * np.interp(s, s[known], wide[known])
-        sd = MEASURED / float(np.median(sight.outward(curve)[1]))
-        state = stations.fitted(state, nan_mean(away - SIDES[:, None] * half), sd, STIFF if front < 1.0 else 1.0)
         if front >= 1.0:
-            return OutlinedBody(state, half, look)
-        front = min(front + GROWS, 1.0)
+            return body
+        state, half, front = body.state, body.half, min(front + GROWS, 1.0)
+
+
+def refined(
+    sight: Sight, stations: Stations, state: Array, half: Array, part: BoolArray, step: float, stiffness: float = 1.0
+) -> OutlinedBody | None:
+    """The body by the flanks near the curve of `state`, `half` (M,) m from it, along `part` (M,) of it; None where they
+    are not seen. `step` as of `appearance`, `stiffness` as of `Stations.fitted`."""
+    if not np.isfinite(half).all():
+        return None
+    s, curve = stations.s, stations.curve(state)
+    look = appearance(sight, curve, half, part, step)
+    away = np.where(part, find_flanks(sight, curve, half, look), np.nan)
+    wide = running_median(away[0] - away[1], 9)
+    known = np.isfinite(wide)
+    if known.sum() < 5:
+        return None
+    half = 0.5 * np.interp(s, s[known], wide[known])
+    sd = MEASURED / float(np.median(sight.outward(curve)[1]))
+    return OutlinedBody(stations.fitted(state, nan_mean(away - SIDES[:, None] * half), sd, stiffness), half, look)
 
 
 # The film: each picture is searched near where the two before predict the body.
 
 STATION = 4.0  # px: distance of the normals
 POINTS = 30  # of the curve that are kept, evenly along the body
+PLACES = (np.arange(POINTS) + 0.5) / POINTS  # (n,) their s
 FAR = 0.4  # of `REACH`: a curve that is farther from its prediction is searched again
 WIDE = 2.0  # px: so far off may the width at one station be
 LOST = 0.75  # of the share of stations that usually show the body: with fewer it is elsewhere
@@ -647,6 +660,8 @@ def body_width(away: Array, half: Array) -> tuple[Array, float]:
     width = away[:, 0] - away[:, 1]
     often = np.isfinite(width).sum(axis=0) > 0.1 * len(width)
     usual = np.where(often, nan_median(width), 2.0 * half)
+    if len(width) == 1:  # a picture alone: by its neighbours along the body
+        usual = np.where(often, running_median(usual, NEIGHBOURS), usual)
     return usual, MAD_TO_SD * float(np.nanmedian(np.abs(width - usual)))
 
 
@@ -735,7 +750,7 @@ def outline_track(
     middle = centreline(found, stations, half, MEASURED / scale)
     refuse_lost(middle, found, ~hidden, rec.name)
     out = points_of(middle, found, stations, [Sight(_NO_PLANES, view, one) for one in shift], scale)
-    return replace(out, remarks=lost_remarks(found))
+    return replace(often_seen(out), remarks=lost_remarks(found))
 
 
 # Beside tags the outline is used only where it agrees with them. A tag may sit beside the middle of the body, by its
@@ -882,7 +897,7 @@ def points_of(
     middle: Middle, found: OutlineSearch, stations: Stations, sights: Sequence[Sight], scale: float
 ) -> OutlineTrack:
     """Points of the centreline, each the mean of the stations about it; `scale` px/m."""
-    s = (np.arange(POINTS) + 0.5) / POINTS
+    s = PLACES
     group = np.minimum((stations.s * POINTS).astype(int), POINTS - 1)
     means = np.eye(POINTS)[group]  # (M, n)
     seen = np.isfinite(middle.away)
@@ -902,6 +917,12 @@ def points_of(
         tangent = np.stack([np.cos(at[2]), np.sin(at[2])], axis=1)
         there = np.stack(at[:2], axis=1) + away[t][:, None] * np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
         px[t], ahead[t] = sight.pixels(there), sight.pixels(there + 0.5 / POINTS * stations.length * tangent)
-    kept = np.isfinite(sd).mean(axis=0) >= LEAST_SHARE
     width = np.array([np.median(middle.width[group == i]) for i in range(POINTS)])
-    return OutlineTrack(s[kept], px[:, kept], ahead[:, kept], sd[:, kept], width[kept])
+    return OutlineTrack(s, px, ahead, sd, width)
+
+
+def often_seen(outline: OutlineTrack) -> OutlineTrack:
+    """Without the points that most frames do not show."""
+    kept = np.isfinite(outline.sd).mean(axis=0) >= LEAST_SHARE
+    px, ahead, sd = (one[:, kept] for one in (outline.px, outline.ahead, outline.sd))
+    return replace(outline, s=outline.s[kept], px=px, ahead=ahead, sd=sd, width=outline.width[kept])

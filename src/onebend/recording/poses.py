@@ -1,44 +1,34 @@
-"""Tables of static poses to observations: loads that are known, no clock; points may be missing in any pose."""
+"""Static poses to observations: loads that are known, no clock; points may be missing in any pose."""
 
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
-from PIL import Image, ImageOps, UnidentifiedImageError
 
 from onebend.errors import ObservationError, RecordingError
-from onebend.progress import Progress, Silent, track
-from onebend.recording.beam_frame import MOUNTING_SD, to_beam_frame
-from onebend.recording.camera import measure_markers
 from onebend.recording.entries import Axes, PosesEntry, Recording
 from onebend.recording.force_log import refuse_other_unit, size_remarks
 from onebend.recording.schema import lines_of_keys
 from onebend.recording.stated import stated_in
 from onebend.recording.tables import Columns, read_columns
-from onebend.recording.tag_finder import Finder
-from onebend.recording.tags import track_block
 from onebend.recording.tracks import chord_angles
-from onebend.recording.video import FilmFrame, Picture
 from onebend.records import (
     UNKNOWN_ANGLE_SD,
     Array,
     BenchPoses,
     BoolArray,
-    Detections,
+    IntArray,
     KnownLoads,
-    Markers,
     Observations,
     Readings,
     Remark,
     Source,
     View,
-    covariance_with_camera,
 )
 from onebend.text_files import MOST_TOML, read_text
 
@@ -334,6 +324,8 @@ FEWEST_HELD = 3  # points of a pose whose end is held by an unknown load
 class PosePoints:
     """Where the points were, in the beam's frame; NaN where not measured."""
 
+    tag_id: IntArray  # (m,)
+    s: Array  # (m,)
     xy: Array  # (P, m, 2) m
     angle: Array  # (P, m) rad
     covariance: Array  # (P, m, 3, 3)
@@ -342,6 +334,7 @@ class PosePoints:
     readings: Readings = field(default_factory=Readings)
     view: View | None = None
     remarks: tuple[Remark, ...] = ()
+    traced: BoolArray | None = None  # (m,) as `Observations.traced`
 
 
 def pose_observations(rec: Recording) -> Observations:
@@ -358,8 +351,7 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
     refuse_other_unit(loads.force, rec.beam.mass, rec.name, "loads")
     units = size_remarks(loads.force, rec.beam.mass, "loads")
     count, m = points.angle.shape
-    marker_s = np.array([tag.s for tag in rec.tags.on_beam])
-    turns = np.round((points.angle - chord_angles(points.xy, marker_s)) / (2.0 * np.pi))  # read without full turns
+    turns = np.round((points.angle - chord_angles(points.xy, points.s)) / (2.0 * np.pi))  # read without full turns
     nothing = not (np.any(loads.force) or np.any(loads.gravity) or loads.others is not None or np.any(loads.held))
     if nothing or not np.isfinite(points.xy).any():
         raise ObservationError(f"{rec.name}: no pose has both a load and a point. Add them to the two tables.")
@@ -369,8 +361,8 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
         length=rec.beam.length,
         time=np.arange(count, dtype=float),
         frame=np.arange(count, dtype=np.int64),
-        tag_id=np.array([tag.id for tag in rec.tags.on_beam], dtype=np.int64),
-        marker_s=marker_s,
+        tag_id=points.tag_id,
+        marker_s=points.s,
         xy=points.xy,
         angle=points.angle - 2.0 * np.pi * np.nan_to_num(turns),
         covariance=points.covariance,
@@ -388,6 +380,7 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
         known_loads=loads.others,
         held=loads.held if np.any(loads.held) else None,
         poses=loads.poses,
+        traced=points.traced,
     )
 
 
@@ -431,7 +424,8 @@ def read_points(rec: Recording, loads: PoseLoads) -> PosePoints:
     xy, covariance = with_zero(readings, xy, covariance)
     remarks = reading_remarks(loads, readings)
     remarks += () if sd_known else (Remark("note", "How exactly the points were measured is estimated from the fit."),)
-    return PosePoints(xy, angle, covariance, sd_known, entry.clamp_sd, readings, remarks=remarks)
+    number = np.array(ids, dtype=np.int64)
+    return PosePoints(number, s, xy, angle, covariance, sd_known, entry.clamp_sd, readings, remarks=remarks)
 
 
 def _check_held(rec: Recording, loads: PoseLoads, points: PosePoints) -> None:
@@ -454,7 +448,7 @@ def check_reach(rec: Recording, loads: PoseLoads, points: PosePoints) -> None:
     if points.readings.at == "x":
         return check_rulers(rec, loads, points.xy)
     distance = np.linalg.norm(np.nan_to_num(points.xy), axis=-1) * (0.5 if points.readings.bare >= 0 else 1.0)
-    arc = np.array([tag.s for tag in rec.tags.on_beam]) * rec.beam.length
+    arc = points.s * rec.beam.length
     relative = distance / np.maximum(arc, 1e-9 * rec.beam.length)
     whole = np.isfinite(points.xy).all(axis=-1)
     # Of the arc length: if every point is nearer to the clamp than this, the unit is wrong.
@@ -470,150 +464,8 @@ def check_reach(rec: Recording, loads: PoseLoads, points: PosePoints) -> None:
     if np.any(distance > reach):
         pose, i = np.argwhere(distance > reach)[0].tolist()
         raise ObservationError(
-            f"{rec.name}: in pose {loads.names[pose]} point {rec.tags.on_beam[i].id} is {1000 * distance[pose, i]:.4g} "
+            f"{rec.name}: in pose {loads.names[pose]} point {points.tag_id[i]} is {1000 * distance[pose, i]:.4g} "
             f"mm from the clamp, and only {1000 * arc[i]:.4g} mm of beam lead there. "
             "Are x_m and y_m in metres, and from the clamp? Check length_m and the points' s.",
             about="unit",
         )
-
-
-HEIC_BRANDS = frozenset((b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx"))
-
-
-def photo_observations(rec: Recording, *, progress: Progress = Silent()) -> Observations:
-    """Observations from a folder of photos and a table of loads."""
-    assert rec.photos is not None
-    loads = read_loads(rec.photos.loads, rec, rec.photos.axes)
-    detections = detect_in_photos(rec, loads.names, progress)
-    markers = measured(detections, rec)
-    rough = chord_angles(markers.xy, markers.s)
-    turns = np.round(np.nan_to_num(rough - markers.angle) / (2 * np.pi))  # from photo to photo an angle may jump
-    markers = replace(markers, angle=markers.angle + 2 * np.pi * turns)
-    markers, clamp_sd, remarks = in_beam_frame(rec, markers, loads)
-    remarks = (*markers.remarks, *remarks)
-    points = PosePoints(
-        markers.xy, markers.angle, markers.covariance, True, clamp_sd, view=markers.view, remarks=remarks
-    )
-    return static(rec, loads, points, rec.photos.load_sd)
-
-
-def detect_in_photos(rec: Recording, names: tuple[str, ...], progress: Progress = Silent()) -> Detections:
-    """Corners of the tags in every picture, in the order of `names`."""
-    assert rec.photos is not None
-    ids = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
-    finder, base = Finder(rec.tags.family), len(rec.tags.on_base)
-    corners, sizes, remarks = [], [], []
-    for i, name in track(progress, "Finding the tags", list(enumerate(names)), len(names)):
-        picture = read_photo(rec, name)
-        block = track_block([FilmFrame(i, float(i), picture)], ids, finder)
-        is_found = np.isfinite(block.corners[0]).all(axis=(1, 2))
-        if block.doubles:
-            raise ObservationError(f"{name}: tag {block.doubles[0][1]} is in the picture twice. Cover one of them.")
-        if not is_found[:base].any():
-            raise ObservationError(
-                f"{name}: no base tag (id {', '.join(map(str, ids[:base]))}) is found in it. Check [tags] in "
-                "recording.toml, and that the tag is in the picture, in focus and at least 20 pixels wide.",
-                about="unseen tag",
-            )
-        hidden = [str(ids[k]) for k in range(base, len(ids)) if not is_found[k]]
-        remarks += [Remark("note", f"{name} does not show tag {', '.join(hidden)}.")] if hidden else []
-        corners.append(block.corners[0])
-        sizes.append(picture.shape)
-    if len(set(sizes)) > 1:
-        other_size = next(name for name, size in zip(names, sizes, strict=True) if size != sizes[0])
-        raise ObservationError(
-            f"{other_size} is not as large as {names[0]}. Take all pictures at one size, without zooming."
-        )
-    height, width = sizes[0]
-    time = np.arange(len(names), dtype=float)
-    return Detections(time, np.array(ids), np.stack(corners), width, height, tuple(remarks))
-
-
-def read_photo(rec: Recording, name: str) -> Picture:
-    """The picture's brightness, upright as its EXIF orientation says.
-
-    Raises `RecordingError` where it is missing or no picture.
-    """
-    assert rec.photos is not None
-    path = rec.photos.folder / name
-    if not path.is_file():
-        files = ", ".join(sorted(item.name for item in rec.photos.folder.iterdir())[:5]) or "nothing"
-        raise RecordingError(
-            f"{rec.photos.loads}: the pose {name} has no picture {path}. The folder holds {files}. Write the file's "
-            "name, with its ending, in the column pose."
-        )
-    try:
-        with Image.open(path) as image:
-            return np.asarray(ImageOps.exif_transpose(image).convert("L"))
-    except (UnidentifiedImageError, OSError, ValueError, Image.DecompressionBombError) as wrong:
-        if is_heic(path):
-            raise RecordingError(_heic_advice(path)) from None
-        raise RecordingError(f"{path} cannot be read as a picture ({wrong}). Save it as JPEG or PNG.") from None
-
-
-def is_heic(path: Path) -> bool:
-    """Whether a file begins as an HEIC picture does (ISO 23008-12), whatever its name."""
-    with path.open("rb") as stream:
-        first = stream.read(64)
-    size = min(int.from_bytes(first[:4], "big"), len(first))
-    brands = {first[8:12], *(first[i : i + 4] for i in range(16, size - 3, 4))}
-    return first[4:8] == b"ftyp" and not brands.isdisjoint(HEIC_BRANDS)
-
-
-def _heic_advice(path: Path) -> str:
-    """How to convert a picture by programs of the system. (Libraries that read HEIC are under LGPL and GPL.)"""
-    other = path.with_name(f"{path.stem}-converted.jpg" if path.suffix == ".jpg" else f"{path.stem}.jpg")
-    old, new = shlex.quote(str(path)), shlex.quote(str(other))
-    return (
-        f"{path} is an HEIC picture, as telephones take them; JPEG and PNG are read. Convert it with "
-        f"`sips -s format jpeg {old} --out {new}` on a Mac or `heif-convert -q 100 {old} {new}` on Linux (from the "
-        "package libheif-examples), and write the new name in the column pose. An iPhone takes JPEG by itself with "
-        "Settings, Camera, Formats, Most Compatible."
-    )
-
-
-def measured(detections: Detections, rec: Recording) -> Markers:
-    """The tags' poses: one plane for all pictures, or one plane each where the camera was moved."""
-    assert rec.photos is not None
-    if not rec.photos.camera_moves:
-        return with_camera_as_noise(measure_markers(detections, rec))
-    per_photo = []
-    for i in range(len(detections.time)):
-        photo = replace(detections, time=detections.time[i : i + 1], corners=detections.corners[i : i + 1], remarks=())
-        per_photo.append(with_camera_as_noise(measure_markers(photo, rec)))
-    remarks = {remark.text: remark for one in per_photo for remark in one.remarks}.values()
-    return replace(
-        per_photo[0],
-        time=detections.time,
-        xy=np.concatenate([one.xy for one in per_photo]),
-        angle=np.concatenate([one.angle for one in per_photo]),
-        covariance=np.concatenate([one.covariance for one in per_photo]),
-        base_angle=np.zeros(len(per_photo)),
-        remarks=(*detections.remarks, *remarks),
-    )
-
-
-def with_camera_as_noise(markers: Markers) -> Markers:
-    """The doubt about camera and plane in every picture's covariance, for fits that have no unknowns of the camera."""
-    return replace(markers, covariance=covariance_with_camera(markers), by_camera=None)
-
-
-def in_beam_frame(rec: Recording, markers: Markers, loads: PoseLoads) -> tuple[Markers, float, tuple[Remark, ...]]:
-    """The markers with x along the bare beam, else along the base tag; and that direction's sd, rad (NaN: not
-    stated)."""
-    assert rec.photos is not None
-    stated = rec.photos.clamp_sd
-    bare: BoolArray = np.asarray(~np.any(loads.force != 0.0, axis=1))
-    if loads.others is not None:
-        bare &= ~np.any(loads.others.force != 0.0, axis=(1, 2)) & ~np.any(loads.others.moment != 0.0, axis=1)
-    bare &= ~np.any(loads.gravity != 0.0, axis=1)
-    if bare.any():
-        turned, _, remarks = to_beam_frame(markers, bare, rec.tags.placement_sd, loads.gravity)
-        reach = rec.beam.length * float(np.linalg.norm(markers.s))
-        # As for a film that shows the beam at rest.
-        from_rest = 2.0 * rec.tags.placement_sd / reach if reach > 0.0 else MOUNTING_SD
-        return turned, stated if math.isfinite(stated) else from_rest, remarks
-    clamp_sd = stated if math.isfinite(stated) else MOUNTING_SD
-    turn = f"{math.degrees(clamp_sd):.2g} deg (sd)"
-    text = f"No picture shows the bare beam: x is along the base tag, which may be turned by {turn}."
-    return markers, clamp_sd, (Remark("note", text),)

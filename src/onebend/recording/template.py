@@ -34,10 +34,11 @@ if TYPE_CHECKING:
     from onebend.recording.tag_finder import Sighting
     from onebend.recording.video import FilmFrame
 
-Kind = Literal["video", "ros", "photos", "weights", "mocap"]
+Kind = Literal["video", "ros", "photo", "photos", "weights", "mocap"]
 WHAT: dict[Kind, str] = {
     "video": "What was filmed",
     "ros": "What was filmed and logged in a bag",
+    "photo": "What was photographed: the body bent by its own weight, without tags, in a level picture",
     "photos": "What was photographed: one picture a pose, one of them with no load",
     "weights": "What was measured by hand: one pose a load, one of them with no load",
     "mocap": "What was tracked",
@@ -46,24 +47,34 @@ TO_FILL_IN = ""  # what only the experimenter knows: no value is better than one
 TABLES_OF: dict[Kind, tuple[str, ...]] = {
     "video": ("video", "force", "push"),
     "ros": ("video", "force", "push"),
+    "photo": ("photos", "gravity"),
     "photos": ("photos",),
     "weights": ("poses", "gravity"),
     "mocap": ("markers", "force", "push"),
 }
 DEFAULTS = {
     "video": {"file": '"video.mp4"'},
-    "photos": {"folder": '"photos"', "loads": '"loads.csv"', "axes": TO_FILL_IN},
+    "photos": {"folder": '"photos"', "loads": '"loads.csv"'},
     "poses": {"file": '"poses.csv"', "loads": '"loads.csv"', "axes": TO_FILL_IN},
     "gravity": {"direction_deg": "-90.0", "base_angle_deg": TO_FILL_IN},
     "markers": {"file": '"markers.csv"'},
     "force": {"file": '"force.csv"', "rotation_deg": TO_FILL_IN, "acts_on": TO_FILL_IN},
     "push": {"at_s": TO_FILL_IN},
 }
+WEIGHED = {"mass_kg": TO_FILL_IN}
+MORE: Mapping[str, Mapping[str, Mapping[str, str]]] = {
+    "weights": {"beam": WEIGHED},
+    "photos": {"photos": {"axes": TO_FILL_IN}},
+    "photo": {
+        "beam": {**WEIGHED, "mass_along": '"even"', "stiffness_along": '"even"'},
+        "photos": {"clicks": '"clicks.csv"'},
+    },
+}
 CAMERA = "Optional: the camera's calibration. Without it, the tags' known size gives the scale."
 GRAVITY = "Optional: only where the beam's weight acts in the plane it bends in (not for a beam lying on its side)."
 FREQUENCIES = "Optional: how fast it swings, clamped as here; one such table for each frequency."
 PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp")
-STUBS = {"poses.csv": "pose,id,x_m,y_m\n", "loads.csv": "pose,s,mass_kg\n"}
+STUBS = {"poses.csv": "pose,id,x_m,y_m\n", "loads.csv": "pose,s,mass_kg\n", "clicks.csv": "pose,x_px,y_px\n"}
 TIME_NAME = re.compile(r"^(time|timestamp|stamp|t)([_ \[(/].*)?$", re.IGNORECASE)
 FORCE_NAME = re.compile(r"^(?:force|f)[_ ]?([xy])([_ \[(/].*)?$", re.IGNORECASE)
 FIRST_ROWS = 1000  # of tracks, in which every marker is
@@ -110,10 +121,11 @@ def write_template(
 def _stubs(folder: Path, kind: Kind) -> dict[str, str]:
     if kind == "weights":
         return {"poses.csv": f"{STUBS['poses.csv']}bare,1,,\n", "loads.csv": f"{STUBS['loads.csv']}bare,,\n"}
-    if kind != "photos":
+    if kind not in ("photo", "photos"):
         return {}
     photos = sorted(one.name for one in folder.glob("photos/*") if one.suffix.lower() in PICTURES)
-    return {"loads.csv": STUBS["loads.csv"] + "".join(f"{name},,\n" for name in photos if "," not in name)}
+    rows = "".join(f"{name},,\n" for name in photos if "," not in name)
+    return {name: STUBS[name] + rows for name in ("loads.csv", *(["clicks.csv"] if kind == "photo" else []))}
 
 
 def found_in_folder(folder: Path, kind: Kind) -> FoundInFiles:
@@ -208,10 +220,14 @@ def _rows(path: Path) -> Iterator[list[str]]:
 def template(kind: Kind = "video", found: FoundInFiles = FoundInFiles(), *, everything: bool = False) -> str:
     """The text of the template: it keeps the schema once what is empty is filled in."""
     camera = kind in ("video", "ros", "photos")
-    values = {name: {**DEFAULTS.get(name, {}), **found.values.get(name, {})} for name in TABLES_OF[kind]}
-    beam = {"length_m": TO_FILL_IN} | ({"mass_kg": TO_FILL_IN} if kind == "weights" else {})
+    more = MORE.get(kind, {})
+    values = {
+        name: {**DEFAULTS.get(name, {}), **more.get(name, {}), **found.values.get(name, {})} for name in TABLES_OF[kind]
+    }
+    beam = {"length_m": TO_FILL_IN, **more.get("beam", {})}
     tags = {**({"size_m": TO_FILL_IN} if camera else {}), **found.values.get("tags", {})}
     places = [{"id": str(one), "s": TO_FILL_IN} for one in found.beam or ((1, 2, 3) if kind == "weights" else ())]
+    places = [] if kind == "photo" else places or [{"id": TO_FILL_IN, "s": TO_FILL_IN}] * 3
     listed = "[[points]]" if kind == "weights" else "[[tags.on_beam]]"
 
     def table(header: str, record: type, values: Mapping[str, str]) -> str:
@@ -224,12 +240,12 @@ def template(kind: Kind = "video", found: FoundInFiles = FoundInFiles(), *, ever
         table("[beam]", BeamEntry, beam),
         *([table("[tags]", TagsEntry, tags)] if everything or camera else []),
         *([table("[[tags.on_base]]", TagEntry, {"id": str(*found.base)})] if camera else []),
-        *(table(listed, TagEntry, one) for one in places or [{"id": TO_FILL_IN, "s": TO_FILL_IN}] * 3),
+        *(table(listed, TagEntry, one) for one in places),
         *(table(f"[{name}]", SECTIONS[name], keys) for name, keys in values.items()),
     ]
     if everything:
         parts += [optional(CAMERA, table("[camera]", CameraEntry, {}))] if camera else []
-        parts += [optional(GRAVITY, table("[gravity]", GravityEntry, {}))] if kind != "weights" else []
+        parts += [optional(GRAVITY, table("[gravity]", GravityEntry, {}))] if "gravity" not in values else []
         parts += [optional(FREQUENCIES, table("[[frequencies]]", FrequencyEntry, {}))]
     return "\n".join(parts)
 

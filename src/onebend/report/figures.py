@@ -28,6 +28,7 @@ from onebend.learning.verdict import explained
 from onebend.progress import Progress, Silent
 from onebend.recording.camera import project
 from onebend.recording.entries import Recording
+from onebend.recording.photos import read_photo
 from onebend.recording.preview import Preview, bent
 from onebend.recording.signals import runs
 from onebend.recording.video import KeptFrames, roundest
@@ -607,6 +608,8 @@ def check_png(found: Overview) -> bytes | None:
 
 @styled
 def _drawn(found: Overview) -> Figure:
+    if found.curves:
+        return _photos(found)
     with_log = found.log is not None
     figure, axes = blank(6.6 if with_log else 4.6, rows=2 if with_log else 1, height_ratios=[2, 1] if with_log else [1])
     if found.preview is not None:
@@ -640,6 +643,31 @@ def _frame(axes: Axes, description: Recording, preview: Preview, log: ForceLog |
     words += [f"not seen: {', '.join(missing)}"] if missing else []
     words += [f"unexpected: {_ids(others)}"] if others else []
     axes.set_title("; ".join(words))
+
+
+MOST_PHOTOS = 4
+
+
+def _photos(found: Overview) -> Figure:
+    """The first pictures, each about the body's curve in it."""
+    assert found.observations is not None
+    assert found.observations.poses is not None
+    shown = list(zip(found.observations.poses.name, found.curves, strict=True))[:MOST_PHOTOS]
+    figure, axes = blank(4.6, columns=len(shown))
+    for one, (name, curve) in zip(axes, shown, strict=True):
+        picture = read_photo(found.recording, name)
+        one.imshow(picture)
+        one.plot(
+            *np.where(np.isfinite(curve.sd[0]), curve.px[0].T, np.nan), ".-", color=PINK, markersize=3, linewidth=1
+        )
+        low, high = curve.px[0].min(axis=0), curve.px[0].max(axis=0)
+        margin = 0.15 * float(np.max(high - low))
+        width, height = picture.size
+        one.set_xlim(max(low[0] - margin, -0.5), min(high[0] + margin, width - 0.5))
+        one.set_ylim(min(high[1] + margin, height - 0.5), max(low[1] - margin, -0.5))
+        one.set_axis_off()
+        one.set_title(figure_text(name))
+    return figure
 
 
 def _axis(axes: Axes, description: Recording, preview: Preview, view: View, at: int, log: ForceLog | None) -> None:

@@ -20,13 +20,14 @@ from onebend.recording.force import to_beam
 from onebend.recording.force_log import refuse_other_unit, size_remarks
 from onebend.recording.observe import FEWEST_FRAMES, observe
 from onebend.recording.pairing import check_direction, check_pace, read_log
+from onebend.recording.photos import traced_photos
 from onebend.recording.poses import read_loads, read_points
 from onebend.recording.preview import Preview, bent, displacement, look_at
 from onebend.recording.signals import outliers, step
 from onebend.recording.stated import stated_in
 from onebend.recording.tracks import read_tracks
 from onebend.recording.video import opened
-from onebend.records import Array, ForceLog, Markers, Observations, Remark
+from onebend.records import Array, ForceLog, Markers, Observations, OutlineTrack, Remark
 from onebend.report.sentences import say, size_words
 from onebend.report.wording import counted, significant
 
@@ -48,6 +49,7 @@ class Overview:
     preview: Preview | None  # of a film
     observations: Observations | None  # without a film
     log: ForceLog | None
+    curves: tuple[OutlineTrack, ...] = ()  # in photos without tags on the body, one each
 
     @property
     def verdict(self) -> str:
@@ -84,8 +86,12 @@ def overview(folder: Path | str) -> Overview:
         read_base_log(recording.gravity.base_angle_file)
     log = read_log(recording)
     preview = None if recording.video is None else look_at(recording)
-    shown = recording.markers is not None or recording.poses is not None or recording.only_frequencies
-    seen = observe(recording) if shown else None
+    seen: Observations | None = None
+    curves: tuple[OutlineTrack, ...] = ()
+    if recording.photos is not None and recording.traces_outline:
+        seen, curves = traced_photos(recording)
+    elif recording.video is None:
+        seen = observe(recording)
     film = None if preview is None or recording.video is None else film_info(recording.video, preview)
     sizes = [] if section is None else [("section", ", ".join(size_words(section)))]
     rows = [
@@ -102,7 +108,7 @@ def overview(folder: Path | str) -> Overview:
         remarks += preview.remarks
         remarks += _force_remarks(recording, log)
     faults = [] if preview is None else _faults(recording, preview, film, log)
-    return Overview(recording.name, tuple(rows), tuple(remarks), tuple(faults), recording, preview, seen, log)
+    return Overview(recording.name, tuple(rows), tuple(remarks), tuple(faults), recording, preview, seen, log, curves)
 
 
 def film_info(video: VideoEntry, preview: Preview) -> FilmInfo:

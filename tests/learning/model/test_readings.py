@@ -89,7 +89,7 @@ def test_errors_alike_along_the_beam_are_made_independent() -> None:
     covariance = o.covariance.copy()
     covariance[..., :2, :2] = roots @ np.swapaxes(roots, -1, -2) + 1e-9 * np.eye(2)
     measured = np.concatenate([xy, o.angle[..., None]], axis=-1)
-    whiten = pose_whitening(o, measured, covariance)
+    whiten = pose_whitening(o, measured, covariance, np.zeros((4, 5, 2)))
     assert whiten.shape == (4, 15, 15)
     alike = matern(LENGTH * np.abs(PLACES[:, None] - PLACES), 0.1)
     assert matern(np.array(0.1), 0.1) == pytest.approx(0.5)
@@ -108,9 +108,37 @@ def test_errors_alike_along_the_beam_are_made_independent() -> None:
         assert np.all(whiten[pose][np.setdiff1d(np.arange(15), seen)] == 0.0)
     away = np.where(np.isfinite(measured), 1e-3 * rng.normal(size=measured.shape), 0.0)
     np.testing.assert_allclose(unwhitened(whiten, whitened(whiten, away[..., None])[..., 0]), away, atol=1e-12)
-    plain = pose_whitening(replace(o, readings=Readings()), measured, covariance)
+    plain = pose_whitening(replace(o, readings=Readings()), measured, covariance, np.zeros((4, 5, 2)))
     np.testing.assert_array_equal(plain, whitening(measured, covariance))
     np.testing.assert_allclose(unwhitened(plain, whitened(plain, away[..., None])[..., 0]), away, atol=1e-12)
+
+
+def test_errors_across_a_curve_are_alike_along_it() -> None:
+    """A point has one row; a tenth of its variance is its own, the rest alike along the curve."""
+    o = made(bent().xy(PLACES), readings=Readings(error_length=0.1))
+    measured = np.concatenate([o.xy, np.full((4, 5, 1), np.nan)], axis=-1)
+    measured[1, 2] = np.nan
+    angle = bent().angle(PLACES)
+    across = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
+    sd = 1e-4 * np.arange(1.0, 6.0)
+    whiten = pose_whitening(o, measured, sd[:, None, None] ** 2 * np.eye(3) * np.ones((4, 1, 1, 1)), across)
+    assert whiten.shape == (4, 15, 15)
+    alike = 0.9 * matern(LENGTH * np.abs(PLACES[:, None] - PLACES), 0.1) + 0.1 * np.eye(5)
+    for pose in range(4):
+        rows = np.flatnonzero(np.any(whiten[pose] != 0.0, axis=1))
+        seen = np.isfinite(measured[pose, :, 0])
+        assert (rows // 3).tolist() == np.flatnonzero(seen).tolist()
+        onto = np.zeros((15, 5))
+        for i in range(5):
+            onto[3 * i : 3 * i + 2, i] = across[pose, i]
+        full = onto @ (sd[:, None] * alike * sd) @ onto.T
+        np.testing.assert_allclose(
+            (whiten[pose] @ full @ whiten[pose].T)[np.ix_(rows, rows)], np.eye(len(rows)), atol=1e-9
+        )
+        along = np.zeros((15, 5))
+        for i in range(5):
+            along[3 * i : 3 * i + 2, i] = np.cos(angle[pose, i]), np.sin(angle[pose, i])
+        np.testing.assert_allclose(1e-4 * whiten[pose] @ along, 0.0, atol=1e-9)
 
 
 def test_rulers_find_what_passes_beneath_them() -> None:

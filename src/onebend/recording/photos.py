@@ -1,0 +1,523 @@
+"""Photos of static poses: printed tags on the body, or the body's own edges, followed from the clamp to its tip.
+
+Without tags on the body its curve is found as in a film (`recording.outline`), in each picture alone. A few points that
+a person clicks along the body say where to look. The plane and the scale are those of a tag on the bench; without one
+the body's own length between the first and the last click is the scale, and the picture is level and square to the
+plane of bending.
+"""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageOps, UnidentifiedImageError
+from scipy.interpolate import PchipInterpolator
+
+from onebend.errors import ObservationError, RecordingError
+from onebend.progress import Progress, Silent, track
+from onebend.recording.beam_frame import MOUNTING_SD, to_beam_frame
+from onebend.recording.camera import measure_markers, points_in_plane, project, to_plane, view_of
+from onebend.recording.entries import Recording
+from onebend.recording.outline import (
+    MEASURED,
+    PAPER,
+    PLACES,
+    POINTS,
+    STATES,
+    STATION,
+    Curve,
+    OutlinedBody,
+    OutlineSearch,
+    Planes,
+    Sight,
+    Stations,
+    centreline,
+    edge_size,
+    find_flanks,
+    first_width,
+    grown,
+    nan_median,
+    points_of,
+    refined,
+    refuse_lost,
+)
+from onebend.recording.poses import PoseLoads, PosePoints, read_loads, static
+from onebend.recording.tables import read_columns
+from onebend.recording.tag_finder import Finder
+from onebend.recording.tags import track_block
+from onebend.recording.tracks import chord_angles
+from onebend.recording.video import FilmFrame
+from onebend.records import (
+    POINT_ID,
+    Array,
+    BoolArray,
+    Detections,
+    Markers,
+    Observations,
+    OutlineTrack,
+    Readings,
+    Remark,
+    View,
+    covariance_with_camera,
+)
+
+HEIC_BRANDS = frozenset((b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx"))
+
+
+def photo_observations(rec: Recording, *, progress: Progress = Silent()) -> Observations:
+    """Observations from a folder of photos and a table of loads."""
+    assert rec.photos is not None
+    loads = read_loads(rec.photos.loads, rec, rec.photos.axes)
+    points = tag_points(rec, loads, progress) if rec.tags.on_beam else curve_points(rec, loads, progress)[0]
+    return static(rec, loads, points, rec.photos.load_sd)
+
+
+def traced_photos(rec: Recording) -> tuple[Observations, tuple[OutlineTrack, ...]]:
+    """As `photo_observations` without tags on the body, and the body's curve in each picture."""
+    assert rec.photos is not None
+    loads = read_loads(rec.photos.loads, rec, rec.photos.axes)
+    points, tracks = curve_points(rec, loads, Silent())
+    return static(rec, loads, points, rec.photos.load_sd), tracks
+
+
+def tag_points(rec: Recording, loads: PoseLoads, progress: Progress) -> PosePoints:
+    """The tags on the body."""
+    assert rec.photos is not None
+    if rec.photos.clicks is not None:
+        raise RecordingError(
+            f"{rec.folder}: [photos] clicks are of a body without tags. Remove them, or [[tags.on_beam]]."
+        )
+    markers = measured(detect_in_photos(rec, loads.names, progress), rec)
+    rough = chord_angles(markers.xy, markers.s)
+    turns = np.round(np.nan_to_num(rough - markers.angle) / (2 * np.pi))  # from photo to photo an angle may jump
+    markers = replace(markers, angle=markers.angle + 2 * np.pi * turns)
+    return points_of_markers(*in_beam_frame(rec, markers, loads))
+
+
+def points_of_markers(markers: Markers, clamp_sd: float, remarks: tuple[Remark, ...]) -> PosePoints:
+    """The markers as points of poses."""
+    return PosePoints(
+        tag_id=markers.tag_id,
+        s=markers.s,
+        xy=markers.xy,
+        angle=markers.angle,
+        covariance=markers.covariance,
+        sd_known=True,
+        clamp_sd=clamp_sd,
+        view=markers.view,
+        remarks=(*markers.remarks, *remarks),
+        traced=markers.traced,
+    )
+
+
+def detect_in_photos(rec: Recording, names: tuple[str, ...], progress: Progress = Silent()) -> Detections:
+    """Corners of the tags in every picture, in the order of `names`."""
+    assert rec.photos is not None
+    ids = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
+    finder, base = Finder(rec.tags.family), len(rec.tags.on_base)
+    corners, sizes, remarks = [], [], []
+    for i, name in track(progress, "Finding the tags", list(enumerate(names)), len(names)):
+        picture = np.asarray(read_photo(rec, name).convert("L"))
+        block = track_block([FilmFrame(i, float(i), picture)], ids, finder)
+        is_found = np.isfinite(block.corners[0]).all(axis=(1, 2))
+        if block.doubles:
+            raise ObservationError(f"{name}: tag {block.doubles[0][1]} is in the picture twice. Cover one of them.")
+        if not is_found[:base].any():
+            raise ObservationError(
+                f"{name}: no base tag (id {', '.join(map(str, ids[:base]))}) is found in it. Check [tags] in "
+                "recording.toml, and that the tag is in the picture, in focus and at least 20 pixels wide.",
+                about="unseen tag",
+            )
+        hidden = [str(ids[k]) for k in range(base, len(ids)) if not is_found[k]]
+        remarks += [Remark("note", f"{name} does not show tag {', '.join(hidden)}.")] if hidden else []
+        corners.append(block.corners[0])
+        sizes.append(picture.shape)
+    if len(set(sizes)) > 1:
+        other_size = next(name for name, size in zip(names, sizes, strict=True) if size != sizes[0])
+        raise ObservationError(
+            f"{other_size} is not as large as {names[0]}. Take all pictures at one size, without zooming."
+        )
+    height, width = sizes[0]
+    time = np.arange(len(names), dtype=float)
+    return Detections(time, np.array(ids), np.stack(corners), width, height, tuple(remarks))
+
+
+def read_photo(rec: Recording, name: str) -> Image.Image:
+    """The picture in colour, upright as its EXIF orientation says.
+
+    Raises `RecordingError` where it is missing or no picture.
+    """
+    assert rec.photos is not None
+    path = rec.photos.folder / name
+    if not path.is_file():
+        files = ", ".join(sorted(item.name for item in rec.photos.folder.iterdir())[:5]) or "nothing"
+        raise RecordingError(
+            f"{rec.photos.loads}: the pose {name} has no picture {path}. The folder holds {files}. Write the file's "
+            "name, with its ending, in the column pose."
+        )
+    try:
+        with Image.open(path) as image:
+            return ImageOps.exif_transpose(image).convert("RGB")
+    except (UnidentifiedImageError, OSError, ValueError, Image.DecompressionBombError) as wrong:
+        if is_heic(path):
+            raise RecordingError(_heic_advice(path)) from None
+        raise RecordingError(f"{path} cannot be read as a picture ({wrong}). Save it as JPEG or PNG.") from None
+
+
+def is_heic(path: Path) -> bool:
+    """Whether a file begins as an HEIC picture does (ISO 23008-12), whatever its name."""
+    with path.open("rb") as stream:
+        first = stream.read(64)
+    size = min(int.from_bytes(first[:4], "big"), len(first))
+    brands = {first[8:12], *(first[i : i + 4] for i in range(16, size - 3, 4))}
+    return first[4:8] == b"ftyp" and not brands.isdisjoint(HEIC_BRANDS)
+
+
+def _heic_advice(path: Path) -> str:
+    """How to convert a picture by programs of the system. (Libraries that read HEIC are under LGPL and GPL.)"""
+    other = path.with_name(f"{path.stem}-converted.jpg" if path.suffix == ".jpg" else f"{path.stem}.jpg")
+    old, new = shlex.quote(str(path)), shlex.quote(str(other))
+    return (
+        f"{path} is an HEIC picture, as telephones take them; JPEG and PNG are read. Convert it with "
+        f"`sips -s format jpeg {old} --out {new}` on a Mac or `heif-convert -q 100 {old} {new}` on Linux (from the "
+        "package libheif-examples), and write the new name in the column pose. An iPhone takes JPEG by itself with "
+        "Settings, Camera, Formats, Most Compatible."
+    )
+
+
+def measured(
+    detections: Detections, rec: Recording, trace: Callable[[int, View], OutlineTrack] | None = None
+) -> Markers:
+    """The tags' poses: one plane for all pictures, or one plane each where the camera was moved. `trace` finds the
+    body's curve in a picture, by its number and the view of the base tag's plane and frame."""
+    assert rec.photos is not None
+    count = len(detections.time)
+    parts = [slice(i, i + 1) for i in range(count)] if rec.photos.camera_moves else [slice(count)]
+    found = []
+    for part in parts:
+        some = replace(detections, time=detections.time[part], corners=detections.corners[part])
+        one = measure_markers(some, rec)
+        if trace is not None:
+            assert one.view is not None
+            one = measure_markers(some, rec, joined([trace(i, one.view) for i in range(count)[part]]))
+        found.append(with_camera_as_noise(one))
+    remarks = {remark.text: remark for one in found for remark in one.remarks}.values()
+    return replace(
+        found[0],
+        time=detections.time,
+        xy=np.concatenate([one.xy for one in found]),
+        angle=np.concatenate([one.angle for one in found]),
+        covariance=np.concatenate([one.covariance for one in found]),
+        base_angle=np.concatenate([one.base_angle for one in found]),
+        remarks=tuple(remarks),
+    )
+
+
+def with_camera_as_noise(markers: Markers) -> Markers:
+    """The doubt about camera and plane in every picture's covariance, for fits that have no unknowns of the camera."""
+    return replace(markers, covariance=covariance_with_camera(markers), by_camera=None)
+
+
+def in_beam_frame(rec: Recording, markers: Markers, loads: PoseLoads) -> tuple[Markers, float, tuple[Remark, ...]]:
+    """The markers with x along the bare beam, else along the base tag; and that direction's sd, rad (NaN: not
+    stated)."""
+    assert rec.photos is not None
+    stated = rec.photos.clamp_sd
+    bare: BoolArray = np.asarray(~np.any(loads.force != 0.0, axis=1))
+    if loads.others is not None:
+        bare &= ~np.any(loads.others.force != 0.0, axis=(1, 2)) & ~np.any(loads.others.moment != 0.0, axis=1)
+    bare &= ~np.any(loads.gravity != 0.0, axis=1)
+    if bare.any():
+        turned, _, remarks = to_beam_frame(markers, bare, rec.tags.placement_sd, loads.gravity)
+        reach = rec.beam.length * float(np.linalg.norm(markers.s))
+        # As for a film that shows the beam at rest.
+        from_rest = 2.0 * rec.tags.placement_sd / reach if reach > 0.0 else MOUNTING_SD
+        return turned, stated if math.isfinite(stated) else from_rest, remarks
+    clamp_sd = stated if math.isfinite(stated) else MOUNTING_SD
+    turn = f"{math.degrees(clamp_sd):.2g} deg (sd)"
+    text = f"No picture shows the bare beam: x is along the base tag, which may be turned by {turn}."
+    return markers, clamp_sd, (Remark("note", text),)
+
+
+# The body's curve: points whose place along the body is free. What is said of it here is its error in one picture: an
+# unknown share of the length, alike over some way along it, as of shade on a round body or of a curve drawn by hand.
+
+ERROR_LENGTH = 0.2  # of the length: half of the errors' correlation is left
+CURVE_SD = 1e-3  # of the length: of these errors, before the fit has found their size
+LONGEST = 1000.0  # px: a picture of a longer body is made smaller; then its edges are as sharp as a film's
+ROUNDS = 3  # of the scale, where the body's own length gives it
+PIECES = 8  # of the body, whose width is looked for
+ALIKE = 0.3  # of the usual width: another is of something else
+CLICKED = 2.0  # px: sd of a click
+
+
+@dataclass(frozen=True)
+class Clicks:
+    """Points that a person clicked along the middle of the body, the first where it leaves the clamp."""
+
+    px: Array  # (n, 2) px
+    s: float  # of the last
+
+
+def read_clicks(rec: Recording, names: tuple[str, ...]) -> tuple[Clicks, ...]:
+    """The clicks in every picture."""
+    assert rec.photos is not None
+    assert rec.photos.clicks is not None
+    table = read_columns(
+        rec.photos.clicks, ("x_px", "y_px"), ("s",), labels=("pose",), kind="table of clicks", strict=True
+    )
+    s, px = table.get("s"), np.stack([table.get("x_px"), table.get("y_px")], axis=1)
+    table.refuse(np.asarray(~np.isfinite(px).all(axis=1)), "a click needs x_px and y_px.")
+    table.refuse((s <= 0.0) | (s > 1.0), "s of the last click lies above 0 and is at most 1. Leave it empty elsewhere.")
+    pose, out, number = np.array(table.labels["pose"]), [], np.arange(len(s))
+    table.refuse(~np.isin(pose, names), f"the pose is not in {rec.photos.loads.name}. Name it there.")
+    for name in names:
+        rows = np.flatnonzero(pose == name)
+        if len(rows) < 2:
+            raise RecordingError(
+                f"{rec.photos.clicks}: {name} has {len(rows)} clicks. Give two or more along the middle of the body: "
+                "the first where it leaves the clamp, the last at its tip."
+            )
+        table.refuse(np.isfinite(s) & np.isin(number, rows[:-1]), "s is of the last click alone.")
+        twice = np.linalg.norm(np.diff(px[rows], axis=0), axis=1) < 1.0
+        table.refuse(np.isin(number, rows[1:][twice]), "this click is where the one before is.")
+        out.append(Clicks(px[rows], 1.0 if math.isnan(s[rows[-1]]) else float(s[rows[-1]])))
+    return tuple(out)
+
+
+Traced = tuple[PosePoints, tuple[OutlineTrack, ...]]
+
+
+def curve_points(rec: Recording, loads: PoseLoads, progress: Progress) -> Traced:
+    """Points of the body's curve, by its edges, in the beam's frame; and in the pixels of each picture."""
+    assert rec.photos is not None
+    clicks = read_clicks(rec, loads.names) if rec.photos.clicks is not None else None
+    if rec.tags.on_base:
+        found, tracks = _beside_base_tag(rec, loads, clicks, progress)
+    else:
+        assert clicks is not None
+        found, tracks = _by_length(rec, loads, clicks, progress)
+    variance = (CURVE_SD * rec.beam.length) ** 2 * np.diag([1.0, 1.0, 0.0])
+    readings = Readings(error_length=ERROR_LENGTH * rec.beam.length)
+    text = "The size of the curve's error in the pictures is estimated from the fit."
+    points = replace(
+        found,
+        covariance=found.covariance + variance,
+        sd_known=False,
+        readings=readings,
+        remarks=(*found.remarks, Remark("note", text)),
+    )
+    return points, tracks
+
+
+def _beside_base_tag(rec: Recording, loads: PoseLoads, clicks: tuple[Clicks, ...] | None, progress: Progress) -> Traced:
+    """A base tag gives plane, scale and direction, and the first click the origin; without clicks the tag's middle."""
+    detections = detect_in_photos(rec, loads.names, progress)
+    origins, tracks = np.zeros((len(loads.names), 2)), []
+
+    def trace(i: int, view: View) -> OutlineTrack:
+        photo, clicked = Photo.read(rec, loads.names[i]), None if clicks is None else clicks[i]
+        if clicked is not None:
+            origins[i] = to_plane(view, clicked.px[0])
+        tracks.append(track_in(photo, found_in(photo, view_of(view, origins[i], 0.0), rec, clicked)))
+        return tracks[-1]
+
+    markers = measured(detections, rec, trace)
+    assert markers.view is not None
+    view = view_of(markers.view, origins[0], 0.0)
+    markers = replace(markers, xy=markers.xy - origins[:, None], view=view)
+    return points_of_markers(*in_beam_frame(rec, markers, loads)), tuple(tracks)
+
+
+def _by_length(rec: Recording, loads: PoseLoads, clicks: tuple[Clicks, ...], progress: Progress) -> Traced:
+    """The body's own length gives the scale; the picture is level."""
+    assert rec.photos is not None
+    if not np.isfinite(loads.clamp).all():
+        raise RecordingError(
+            f"{rec.name}: without a tag the pictures are taken as level, and somebody must say which way the body "
+            "leaves the clamp. Give base_angle_deg in [gravity] (0 to the right, 180 to the left, 90 upwards), or "
+            f"clamp_deg in {rec.photos.loads.name}."
+        )
+    found, views, tracks = [], [], []
+    for i, name in track(progress, "Following the body", list(enumerate(loads.names)), len(loads.names)):
+        photo = Photo.read(rec, name)
+        body = found_by_length(photo, rec, clicks[i], float(loads.clamp[i]))
+        views.append(smaller_view(body.sight.view, 1.0 / body.smaller))
+        tracks.append(track_in(photo, body))
+        found.append(points_in_plane(views[-1], tracks[-1]))
+    clamp_sd = rec.photos.clamp_sd if math.isfinite(rec.photos.clamp_sd) else MOUNTING_SD
+    turn = f"{math.degrees(clamp_sd):.2g} deg (sd)"
+    text = f"The body's length gives the scale. The pictures are taken as level, and the clamp as written, to {turn}."
+    points = PosePoints(
+        tag_id=POINT_ID + np.arange(POINTS),
+        s=PLACES,
+        xy=np.concatenate([one.xy for one in found]),
+        angle=np.concatenate([one.angle for one in found]),
+        covariance=np.concatenate([one.covariance for one in found]),
+        sd_known=False,
+        clamp_sd=clamp_sd,
+        view=views[0],
+        remarks=(Remark("note", text),),
+        traced=np.ones(POINTS, dtype=bool),
+    )
+    return points, tuple(tracks)
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A picture of the body."""
+
+    name: str
+    image: Image.Image
+
+    @staticmethod
+    def read(rec: Recording, name: str) -> Photo:
+        """That of a pose."""
+        return Photo(name, read_photo(rec, name))
+
+    def planes(self, smaller: int) -> Planes:
+        """Brightness and colours, so many times smaller."""
+        luma, blue, red = (np.asarray(one) for one in self.image.convert("YCbCr").reduce(smaller).split())
+        return Planes(luma, np.stack([blue, red]), left=False)
+
+
+@dataclass(frozen=True)
+class FoundBody:
+    """The body in one picture."""
+
+    sight: Sight  # of the picture made smaller
+    smaller: int  # so many times
+    stations: Stations
+    shown: BoolArray  # (M,) which of them lie where the body was clicked
+    body: OutlinedBody
+
+
+def smaller_view(view: View, times: float) -> View:
+    """The view in a picture so many times smaller."""
+    matrix = view.matrix.copy()
+    matrix[:2, 2] += 0.5
+    matrix[:2] /= times
+    matrix[:2, 2] -= 0.5
+    return replace(view, matrix=matrix)
+
+
+def level_view(origin: Array, scale: float, clamp: float) -> View:
+    """A level picture, square to the plane: `origin` (2,) px, `scale` px/m, and the beam's x axis `clamp` rad."""
+    cos, sin = math.cos(clamp), math.sin(clamp)
+    turn = np.array([[cos, -sin, 0.0], [-sin, -cos, 0.0], [0.0, 0.0, -1.0]])
+    return View(np.diag([scale, scale, 1.0]), np.zeros(5), turn, np.append(origin / scale, 1.0), False, CLICKED)
+
+
+def found_in(photo: Photo, view: View, rec: Recording, clicks: Clicks | None = None) -> FoundBody:
+    """The body in a picture whose plane and frame are known: along the clicks, or from the base tag on."""
+    length = rec.beam.length
+    long = float(np.linalg.norm(np.diff(project(view, np.array([[0.0, 0.0], [length, 0.0]])), axis=0)))
+    smaller = max(1, int(long / LONGEST))
+    sight = Sight(photo.planes(smaller), smaller_view(view, smaller), np.zeros(2))
+    stations = Stations(length, max(2 * POINTS, math.ceil(long / smaller / STATION)))
+    s, name, width = stations.s, f"{rec.name}: {photo.name}", math.nan if rec.outline is None else rec.outline.width
+    if clicks is None:
+        hidden = s < rec.tags.on_base[0].s + PAPER * rec.tags.size / length
+        return FoundBody(sight, smaller, stations, ~hidden, grown(sight, stations, hidden, name, width))
+    end = STATION * smaller / long  # an edge that ends there is none
+    shown = (s > end) & (s < clicks.s - end)
+    state = through(stations, to_plane(view, clicks.px), clicks.s)
+    return FoundBody(sight, smaller, stations, shown, along(sight, stations, state, shown, name, width))
+
+
+def found_by_length(photo: Photo, rec: Recording, clicks: Clicks, clamp: float) -> FoundBody:
+    """The body in a level picture, its length between the first and the last click as written."""
+    scale = float(np.sum(np.linalg.norm(np.diff(clicks.px, axis=0), axis=1))) / (rec.beam.length * clicks.s)
+    origin = clicks.px[0]
+    for _ in range(ROUNDS):
+        view = level_view(origin, scale, clamp)
+        found = found_in(photo, view, rec, clicks)
+        places, feet = feet_on(found.stations.curve(found.body.state), found.stations, to_plane(view, clicks.px))
+        origin = project(view, feet[0])
+        scale *= (places[-1] - places[0]) / clicks.s
+    return found
+
+
+def through(stations: Stations, points: Array, last: float) -> Array:
+    """(1 + K,) numbers of a smooth curve through points (n, 2) m, the last of them at s = `last`."""
+    t = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    line = PchipInterpolator(t, points)
+    fine = np.linspace(0.0, t[-1], 40 * len(t))
+    tangent, places = line.derivative()(fine), line(fine)
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
+    angle = np.interp(stations.s, last * way / way[-1], np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0])))
+    sd = CLICKED * stations.length / stations.count  # rad
+    rows = np.vstack([stations.functions / sd, np.diag(1.0 / stations.prior[1:])])
+    return np.append(0.0, np.linalg.lstsq(rows, np.append(angle / sd, np.zeros(STATES)), rcond=None)[0])
+
+
+def feet_on(curve: Curve, stations: Stations, points: Array) -> tuple[Array, Array]:
+    """(n,) places s and (n, 2) m on the curve that are nearest to points (n, 2); beyond its ends straight on."""
+    nearest = np.argmin(np.linalg.norm(points[:, None] - curve.xy, axis=2), axis=1)
+    tangent = np.stack([np.cos(curve.angle), np.sin(curve.angle)], axis=1)[nearest]
+    on = np.sum((points - curve.xy[nearest]) * tangent, axis=1)
+    return stations.s[nearest] + on / stations.length, curve.xy[nearest] + on[:, None] * tangent
+
+
+def along(sight: Sight, stations: Stations, state: Array, shown: BoolArray, name: str, width: float) -> OutlinedBody:
+    """The body along the curve of `state` where it is `shown` (M,), `width` m near the clamp (NaN: unknown).
+
+    Raises:
+        ObservationError: no two edges run along the curve.
+    """
+    pieces = np.array_split(np.flatnonzero(shown), PIECES)
+    middle = np.array([float(np.mean(stations.s[piece])) for piece in pieces])
+    half, clicked = np.full(stations.count, np.nan), state
+    for _ in range(ROUNDS):
+        curve = stations.curve(state)
+        parts = (np.isin(np.arange(stations.count), piece) for piece in pieces)
+        sides = np.stack([first_width(sight, curve, part, stations.length) for part in parts])
+        wide = sides.sum(axis=1)
+        usual = float(nan_median(wide)) if math.isnan(width) else width
+        well = np.abs(wide - usual) < ALIKE * usual
+        if not well.any():
+            break
+        off = np.interp(stations.s, middle[well], 0.5 * (sides[well, 0] - sides[well, 1]))
+        half[:], sd = 0.5 * usual, CLICKED / float(np.median(sight.outward(curve)[1]))
+        new = stations.fitted(state, np.where(shown, off, np.nan), sd)
+        if np.max(np.abs(stations.across(stations.curve(clicked)) @ (new - clicked))[shown]) > usual:
+            break  # farther from the clicks than the body is wide
+        state = new
+    step = edge_size(sight, stations.curve(state), half, shown) if np.isfinite(half).all() else 0.0
+    body = refined(sight, stations, state, half, shown, step)
+    for _ in range(ROUNDS):
+        body = None if body is None else refined(sight, stations, body.state, body.half, shown, step)
+    if body is not None:
+        return body
+    raise ObservationError(
+        f"{name}: no body is seen along the clicks: no two edges run beside them. Are they of this picture, upright as "
+        "it is shown, and along the middle of the body, more of them where it bends? Does it stand out from its "
+        "background?",
+        about="outline",
+    )
+
+
+def track_in(photo: Photo, found: FoundBody) -> OutlineTrack:
+    """Points of the body's centreline, in pixels of the whole picture."""
+    sight, stations, body = found.sight, found.stations, found.body
+    curve = stations.curve(body.state)
+    scale = float(np.median(sight.outward(curve)[1]))
+    away = np.where(found.shown, find_flanks(sight, curve, body.half, body.look), np.nan)
+    search = OutlineSearch(body.state[None], away[None])
+    middle = centreline(search, stations, body.half, MEASURED / scale)
+    refuse_lost(middle, search, found.shown, photo.name)
+    track = points_of(middle, search, stations, [sight], scale)
+    times = found.smaller
+    px, ahead = ((one + 0.5) * times - 0.5 for one in (track.px, track.ahead))
+    return replace(track, px=px, ahead=ahead, sd=times * track.sd)
+
+
+def joined(tracks: Sequence[OutlineTrack]) -> OutlineTrack:
+    """Those of several pictures."""
+    px, ahead, sd = (np.concatenate([getattr(one, name) for one in tracks]) for name in ("px", "ahead", "sd"))
+    return replace(tracks[0], px=px, ahead=ahead, sd=sd)
