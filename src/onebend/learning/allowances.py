@@ -52,7 +52,6 @@ class Allowance:
     sized: bool = False  # the evidence chooses one factor on all of `prior_sd`
     within: tuple[float, float] = ANYTHING  # bounds of each parameter
     least: float = 1.0  # over `prior_sd`, below 1: its size is unknown from this on, see `sites`
-    led: bool = False  # the others go with the first parameter: they are as large as it is likely to be
     powers: Array = field(default_factory=_nothing)  # (n,) of the displacement in its functions; empty: none
     of_force: bool = False  # `prior_sd` goes with the largest force
 
@@ -390,15 +389,13 @@ def between_recordings(nodes: Array) -> Allowance:
     return Allowance(BETWEEN, "log k", "1", labels, BETWEEN_SD, _SHAPES.curvature(nodes), sized=True)
 
 
-# Tags are patches that stiffen the beam by one factor. Their width is known only by how likely each is: the log of the
-# factor enters by its expected profile, and two more functions are how the profile of another width differs from it. At
-# a distance d from a tag's middle log k has the variance `PATCH_SD^2` times the probability that the patch reaches d.
+# Tags are patches that stiffen the beam by one factor. Their width is known only by how likely each is, so a patch is a
+# sum of patches of several widths, none of which softens. At a distance d from a tag's middle log k has the variance
+# `PATCH_SD^2` times the probability that the patch reaches d.
 
 PATCH_SD = 0.4  # of the log of the factor on k under a tag: paper to stiff plastic
 SHARES = np.array([0.25, 0.5, 0.25])  # of the widths below
 WIDTHS = np.array([1.05, 1.25, 1.6])  # of a patch over the tag's black square: a printed tag has a rim of one cell
-# (3, 3) of patches of these widths: the expected one, and principal parts of the others: `SHARES - SHARES SHARES'`
-_BY_WIDTH = np.column_stack([SHARES, 0.5**1.5 * np.array([1.0, 0.0, -1.0]), 0.25 * np.array([1.0, -2.0, 1.0])])
 _THIN = 0.01  # of `PATCH_SD`: a smaller factor hardly counts
 USUAL_SIZE = 0.08  # of the length: a tag's black square where nobody says its size
 _USUAL_WIDTHS = np.array([0.8, 1.25, 1.9])  # over `USUAL_SIZE`
@@ -407,12 +404,11 @@ _FINE = 4001  # places
 
 
 def patch_functions(marker_s: Array, length: float, tag_size: float, s: Array) -> Array:
-    """`s.shape + (3,)`: the expected profile of a patch, 1 under the tags, and two deviations from it; `tag_size` m,
-    NaN if unknown."""
+    """`s.shape + (3,)`: the profiles of patches of each width, 1 under the tags; `tag_size` m, NaN if unknown."""
     known = bool(np.isfinite(tag_size))
     half = 0.5 * (WIDTHS * tag_size / length if known else _USUAL_WIDTHS * USUAL_SIZE)
     away = np.min(np.abs(np.asarray(s)[..., None] - marker_s), axis=-1)[..., None]
-    return np.asarray((0.5 - 0.5 * np.tanh((away - half) / (2.0 * _SOFT * half))) @ _BY_WIDTH)
+    return np.asarray(0.5 - 0.5 * np.tanh((away - half) / (2.0 * _SOFT * half)))
 
 
 def patch_means(marker_s: Array, length: float, tag_size: float, grid: Grid) -> Array:
@@ -427,17 +423,17 @@ def patch_means(marker_s: Array, length: float, tag_size: float, grid: Grid) -> 
 
 
 def patches(course: PushCourse) -> Allowance | None:
-    """The log of the factor on k, the same under all tags, for they are alike, and of its profile; without a film no
-    basis."""
+    """The logs of the factors on k of patches of each width, the same under all tags, for they are alike; without a
+    film no basis."""
     if not course.tags:
         return None
     basis = np.zeros((0, len(WIDTHS)))
     if course.film is not None:
         grid = course.film.problem.grid
         basis = patch_means(course.marker_s[course.on_body], course.length, course.tag_size, grid)
-    labels = tuple(f"log k under the tags, {name}" for name in ("mean", "width", "rim"))
-    sd = np.full(len(WIDTHS), PATCH_SD)
-    return Allowance("patches", "log k", "1", labels, sd, basis, shared=True, within=POSITIVE, least=_THIN, led=True)
+    labels = tuple(f"log k under the tags, {name}" for name in ("narrow", "usual", "wide"))
+    sd = PATCH_SD * np.sqrt(SHARES)
+    return Allowance("patches", "log k", "1", labels, sd, basis, shared=True, within=POSITIVE, least=_THIN)
 
 
 # Camera: its model puts every tag in one plane. A tag at height z over the plane appears too far from the camera's
@@ -451,19 +447,45 @@ _SMALL = np.finfo(float).tiny
 
 
 def heights(observations: Observations, measured: Array) -> Allowance:
-    """Each tag's own height [m], and those of the outline at the clamp and at the tip; `measured` (F, m, 3) poses."""
-    view = _view(observations)
-    foot, distance = camera_place(view)
-    away = np.nan_to_num(measured[..., :2] - foot) / distance
-    labels, tags = [f"height of tag {i}" for i in observations.tag_id], tags_among(observations)
-    functions = np.eye(len(tags))
-    if not tags.all():
-        s, labels = observations.marker_s, [labels[i] for i in np.flatnonzero(tags)]
-        functions = np.column_stack([functions[:, tags], ~tags * (1.0 - s), ~tags * s])
-        labels += ["height of the outline at the clamp", "height of the outline at the tip"]
-    basis = np.zeros((*measured.shape, len(labels)))
-    basis[:, :, :2] = away[..., None] * functions[:, None, :]
+    """Each tag's own height [m]; an outline lies as high as the tags beside it, and without tags as high as two numbers
+    say, at the clamp and at the tip. `measured` (F, m, 3) poses."""
+    o, tags = observations, tags_among(observations)
+    labels = [f"height of tag {i}" for i in o.tag_id[tags]]
+    functions = np.eye(len(tags))[:, tags]
+    if not labels:
+        labels, functions = list(_OUTLINE_HEIGHTS), _from_clamp_to_tip(o)
+    elif not tags.all():  # then all stand in the order of their places
+        functions = np.stack([np.interp(o.marker_s, o.marker_s[tags], one) for one in np.eye(len(labels))], axis=1)
+    basis = _lifted(o, measured, functions)
     return Allowance("heights", "poses", "m", tuple(labels), np.full(len(labels), HEIGHT_SD), basis, shared=True)
+
+
+_OUTLINE_HEIGHTS = ("height of the outline at the clamp", "height of the outline at the tip")
+
+
+def outline_height(course: PushCourse) -> Allowance | None:
+    """Of an outline over the tags [m], at the clamp and at the tip: that of a round body lies below them."""
+    film = _outlined(course)
+    if film is None or not course.tags or film.observations.source.view is None:
+        return None
+    basis = _lifted(film.observations, film.measured, _from_clamp_to_tip(film.observations))
+    sd = np.full(len(_OUTLINE_HEIGHTS), HEIGHT_SD)
+    return Allowance("outline height", "poses", "m", _OUTLINE_HEIGHTS, sd, basis, shared=True, least=RARE)
+
+
+def _from_clamp_to_tip(observations: Observations) -> Array:
+    """(m, 2) of an outline's points, each rising in proportion from one end; zero of tags."""
+    s = observations.marker_s
+    return np.asarray(np.column_stack([1.0 - s, s]) * ~tags_among(observations)[:, None])
+
+
+def _lifted(observations: Observations, measured: Array, functions: Array) -> Array:
+    """(F, m, 3, n): what heights, by these functions (m, n), do to poses (F, m, 3)."""
+    foot, distance = camera_place(_view(observations))
+    away = np.nan_to_num(measured[..., :2] - foot) / distance
+    basis = np.zeros((*measured.shape, functions.shape[1]))
+    basis[:, :, :2] = away[..., None] * functions[:, None, :]
+    return basis
 
 
 def camera(observations: Observations, frames: BoolArray, count: int) -> Allowance:
@@ -722,6 +744,7 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(
         "rub": Effect("friction of the tool", rubbing, live=False),
         "posture": Effect("posture-dependent bias", posture_bias),
         "heights": Effect("camera", _heights, live=False),
+        "outline height": Effect("outline", outline_height, live=False),
         "rolling shutter": Effect("camera", _rows, live=False),
         "camera": Effect("camera", _camera, live=False),
         "inertia": Effect("inertia", unknown_mass, live=False),

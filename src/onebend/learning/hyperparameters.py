@@ -50,6 +50,7 @@ from onebend.learning.normal import (
 from onebend.learning.parameters import Block
 from onebend.learning.sites import first_site, is_shaped, updated
 from onebend.progress import each
+from onebend.recording.signals import correlation_time
 from onebend.records import Array, IntArray
 
 CHOSEN = ("coloured", "memory", "walk", "load")  # the sizes of the force error
@@ -62,9 +63,6 @@ _FARTHEST = 4.0  # sd of their logs from what is expected
 _GUESS_COUNTS = 3.0  # numbers that the guessed noise of readings counts for
 _CENTRE_SHARE = 0.25  # weight of the central node of the cubature
 _CURVATURE_STEP = 0.3  # sd of their logs, of the differences that give the evidence's curvature
-_LONGEST_LAG = 8  # a correlation time takes lags up to this part (1 / 8) of the frames
-_ALONG = 2  # the same of an outline's points
-_UNCORRELATED = 0.05  # correlation from which on a correlation time is cut off
 _ON_THE_WAY = Draws(chains=12, burn=15, kept=25)
 _AT_THE_END = Draws(chains=4, burn=20, kept=60)  # for each of the nodes of the cubature
 _LEAST_NOISE = 0.02  # of the tags' stated sd: below it the solver's error (1e-8 L) would be fitted
@@ -255,7 +253,7 @@ def updated_noise(
     rows: ResidualRows, before: RecordingNoise, spent: float, points: IntArray = _NOTHING
 ) -> RecordingNoise:
     """Noise of a recording from its residuals, by expectation-maximisation over the frames' own force errors; that of
-    an outline's `points` among the markers has a size of its own where there are tags.
+    an outline's `points` among the markers has a size of its own where there are tags, and is at least as stated.
 
     `spent`: effective number of parameters (trace of the tags' information times the covariance).
     """
@@ -274,35 +272,11 @@ def updated_noise(
         own = np.mean(np.trace(moments, axis1=1, axis2=2)) / 2.0
         noise = replace(before, marker=float(max(sizes[0], _LEAST_NOISE)), force=float(np.sqrt(own)))
     unexplained, force = split_off_force(rows, rows.r, noise)
-    by_marker = np.sum(
-        unexplained.reshape(len(unexplained), -1, 3)[:, points], axis=-1
-    )  # one number of a point is known
-    alike = correlation_time(by_marker.T, _ALONG) if len(points) else 1.0
-    own_time = [correlation_time(unexplained[:, one]) for one in kinds]
-    own_time[-1] *= alike if len(points) else 1.0
-    marker, *outline = [size * float(np.sqrt(time)) for size, time in zip(sizes, own_time, strict=True)]
-    marker = max(marker, _LEAST_NOISE)
-    return RecordingNoise(
-        marker,
-        noise.force * float(np.sqrt(correlation_time(force))),
-        *(before.outline * one / marker for one in outline),
-    )
-
-
-def correlation_time(r: Array, longest: int = _LONGEST_LAG) -> float:
-    """`1 + 2 sum rho` of residuals (F, channels) over the lags where the correlation is positive, up to a part of F,
-    pooled."""
-    z = r - np.mean(r, axis=0)
-    spread = np.median(np.abs(z), axis=0) / 0.6745
-    z = np.clip(np.divide(z, spread, out=np.zeros_like(z), where=spread > 0.0), -3.0, 3.0)
-    power = float(np.sum(z**2))
-    total = 1.0
-    for lag in range(1, max(len(z) // longest, 2)):
-        rho = float(np.sum(z[:-lag] * z[lag:])) / max(power, 1e-12)
-        if rho < _UNCORRELATED:
-            break
-        total += 2.0 * rho
-    return total
+    times = [correlation_time(unexplained[:, one]) for one in kinds]
+    marker, *outline = [size * float(np.sqrt(time)) for size, time in zip(sizes, times, strict=True)]
+    marker = max(marker, 1.0 if traced.all() else _LEAST_NOISE)
+    shares = (max(before.outline * one, 1.0) / marker for one in outline)
+    return RecordingNoise(marker, noise.force * float(np.sqrt(correlation_time(force))), *shares)
 
 
 _SITE_ROUNDS = 4  # of sites and posterior

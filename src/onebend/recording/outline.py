@@ -21,7 +21,7 @@ from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, track
 from onebend.recording.camera import measure_markers, project
 from onebend.recording.entries import Recording
-from onebend.recording.signals import MAD_TO_SD
+from onebend.recording.signals import MAD_TO_SD, correlation_time
 from onebend.recording.video import picture_in, timed, upright
 from onebend.records import Array, BoolArray, Detections, IntArray, Markers, OutlineTrack, Remark, View
 
@@ -893,6 +893,18 @@ def lost_remarks(found: OutlineSearch) -> tuple[Remark, ...]:
 _NO_PLANES = Planes(np.zeros((2, 2), dtype=np.uint8), np.zeros((2, 2, 2), dtype=np.uint8))
 
 
+def lasting_sd(apart: Array) -> Array:
+    """(n,) m, one sd of points in the middle of two flanks, as if their errors were new in each picture and alike
+    nowhere; `apart` (T, n) m: by how much the flanks are farther apart than the body is wide, both errors being
+    independent."""
+    alike = np.nan_to_num(apart)
+    return np.asarray(
+        0.5
+        * np.sqrt(np.nan_to_num(nan_mean(apart**2)))
+        * np.sqrt(correlation_time(alike) * correlation_time(alike.T, longest=2))
+    )
+
+
 def points_of(
     middle: Middle, found: OutlineSearch, stations: Stations, sights: Sequence[Sight], scale: float
 ) -> OutlineTrack:
@@ -905,9 +917,8 @@ def points_of(
     shown = count >= LEAST_SHARE * means.sum(axis=0)
     away = np.divide(np.where(seen, middle.away, 0.0) @ means, count, out=np.zeros(count.shape), where=count > 0)
     few = count * (1.0 - middle.alike) / (1.0 + middle.alike)
-    of_both = [np.sqrt(nan_mean(nan_mean(middle.apart[:, group == i].T) ** 2)) for i in range(POINTS)]  # m, each point
-    lasting = 0.5 * np.nan_to_num(np.array(of_both))  # the errors of both flanks are independent
-    sd = np.where(shown, scale * np.maximum(middle.sd / np.sqrt(np.maximum(few, 1.0)), lasting), np.nan)
+    apart = np.stack([nan_mean(middle.apart[:, group == i].T) for i in range(POINTS)], axis=1)
+    sd = np.where(shown, scale * np.maximum(middle.sd / np.sqrt(np.maximum(few, 1.0)), lasting_sd(apart)), np.nan)
     px, ahead = np.empty((*away.shape, 2)), np.empty((*away.shape, 2))
     for t, sight in enumerate(sights):
         predicted, smooth = stations.curve(found.state[t]), stations.curve(middle.state[t])
