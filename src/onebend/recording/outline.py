@@ -422,7 +422,7 @@ def refined(
 
 # The film: each picture is searched near where the two before predict the body.
 
-STATION = 4.0  # px: distance of the normals
+STATION, STATIONS = 4.0, 240  # px: distance of the normals; at most so many
 POINTS = 30  # of the curve that are kept, evenly along the body
 PLACES = (np.arange(POINTS) + 0.5) / POINTS  # (n,) their s
 FAR = 0.4  # of `REACH`: a curve that is farther from its prediction is searched again
@@ -506,13 +506,14 @@ def _near(
 
 TAG_PLACE, TAG_TURN, CLAMP_TURN = 3e-4, 0.03, 0.02  # m, rad, rad: one sd of a tag, and of the clamp's direction
 STEPS = 4  # of Gauss and Newton's method from the curve of the picture before
-FINEST = 400  # samples of a profile, at most
+FINEST = 300  # samples of a profile, at most
 LOOKED_AT = 40  # pictures, spread evenly, in which an edge must stay
 STEEP = 8  # samples by which a lasting edge may step from station to station
 BEND_COST = 0.04  # of a clear edge: what a step by one sample costs
 STAYS = 0.4  # of its usual size, at least, that a lasting edge has in one picture
 NEAR = 2.0  # px: one sd of where it is expected there
 PASSES = 3  # over the edges of a picture
+_NO_EDGES = "no two edges of a body move with the tags"
 
 
 @dataclass(frozen=True)
@@ -572,8 +573,10 @@ def straightened(sights: Iterable[Sight], stations: Stations, state: Array) -> S
 
 def lasting_edges(seen: Straightened, hidden: BoolArray, pixel_sd: Array) -> tuple[IntArray, Array]:
     """(2, M) the sample at which each side's edge stays in all pictures: the line along the body whose steps of colour
-    are the largest; and their size, in sds of a colour."""
+    are the largest; and their size, in sds of a colour. Raises `ObservationError` where nothing of the body is seen."""
     known = np.flatnonzero(np.isfinite(seen.state[:, 0]))
+    if hidden.all() or not len(known) or seen.colour.shape[3] <= 4 * _SIDE:
+        raise ObservationError(_NO_EDGES, about="outline")
     chosen = known[np.unique(np.linspace(0, len(known) - 1, LOOKED_AT).astype(int))]
     colour = seen.colour[chosen].astype(np.float32)
     total = np.cumsum(np.concatenate([np.zeros_like(colour[..., :1, :]), colour], axis=-2), axis=-2)
@@ -585,7 +588,7 @@ def lasting_edges(seen: Straightened, hidden: BoolArray, pixel_sd: Array) -> tup
     place: IntArray = np.empty(size.shape[:2], dtype=np.int64)
     for side in range(2):
         shown = np.where(hidden[:, None], 0.0, size[side])
-        place[side] = best_line(np.minimum(shown / np.median(shown[~hidden].max(axis=1)), 1.5))
+        place[side] = best_line(np.minimum(shown / max(float(np.median(shown[~hidden].max(axis=1))), 1.0), 1.5))
     return at[place], np.take_along_axis(size, place[..., None], axis=2)[..., 0]
 
 
@@ -639,10 +642,12 @@ def with_tags(
             expected = place + SIDES[:, None] * (stations.across(stations.curve(state)) @ (smooth - state)) / sample
         away = np.where(np.abs(away - expected) * STEP < NEAR, away, np.nan)
         found.append(SIDES[:, None] * away * sample)
-    half = 0.5 * place.sum(axis=0) * np.median(seen.sample, axis=0)
+    flanks, half = np.stack(found), 0.5 * place.sum(axis=0) * np.median(seen.sample, axis=0)
+    if np.isfinite(flanks[:, :, ~hidden]).mean() < LEAST_SEEN:
+        raise ObservationError(_NO_EDGES, about="outline")
     known = np.flatnonzero(np.isfinite(seen.state[:, 0]))
     every = np.stack([np.interp(np.arange(len(seen.state)), known, one[known]) for one in seen.state.T], axis=1)
-    return OutlineSearch(every, np.stack(found)), half
+    return OutlineSearch(every, flanks), half
 
 
 # The centreline: the width is the same in all pictures; flanks that contradict it, or their neighbours, are left out.
@@ -724,7 +729,7 @@ def outline_track(
     """
     ends = project(view, np.array([[0.0, 0.0], [rec.beam.length, 0.0]]))
     scale = float(np.linalg.norm(ends[1] - ends[0])) / rec.beam.length  # px/m
-    stations = Stations(rec.beam.length, max(2 * POINTS, math.ceil(rec.beam.length * scale / STATION)))
+    stations = Stations(rec.beam.length, min(max(2 * POINTS, math.ceil(rec.beam.length * scale / STATION)), STATIONS))
     base = rec.tags.on_base[0].s
     paper = PAPER * rec.tags.size / rec.beam.length
     hidden = np.min([np.abs(stations.s - s) for s in (base, *(tag.s for tag in rec.tags.on_beam))], axis=0) < paper
@@ -756,9 +761,10 @@ def outline_track(
 # Beside tags the outline is used only where it agrees with them. A tag may sit beside the middle of the body, by its
 # placement; as the body bends, it stays there.
 
-EVERY = 0.1  # s: so often is the outline read beside tags, which are read in every frame
+EVERY, MOST_READ = 0.1, 240  # s, pictures: so often, and in so many, is the outline read beside tags
 BESIDE = 3e-4  # m: one sd of where a tag's middle seems to lie, besides its placement
 MOVED = 5e-3  # of the length: a line that moves more against a tag is not the body's
+TURNED = 0.03  # rad, likewise by its direction there
 
 
 def with_outline(
@@ -778,9 +784,13 @@ def with_outline(
     """
     assert markers.view is not None
     base = detections.corners[:, : len(rec.tags.on_base)]
+    if rec.tags.on_beam and np.max(np.abs(markers.base_angle)) > TURNED:
+        return replace(markers, remarks=(*markers.remarks, left_out("the clamp turns in the picture")))
     try:
-        each = round(EVERY / float(np.median(np.diff(detections.time)))) if rec.tags.on_beam and not apart else 1
-        kept = np.arange(0, len(number), max(each, 1))
+        each = 1
+        if rec.tags.on_beam and not apart:
+            each = max(round(EVERY / float(np.median(np.diff(detections.time)))), math.ceil(len(number) / MOST_READ), 1)
+        kept = np.arange(0, len(number), each)
         of_kept = replace(markers, xy=markers.xy[kept], angle=markers.angle[kept]) if rec.tags.on_beam else None
         outline = outline_track(
             rec, markers.view, base[kept], number[kept], tags=of_kept, apart=apart, progress=progress
@@ -823,16 +833,20 @@ def contradicted(both: Markers, rec: Recording) -> str:
         if not len(before) or not len(after):
             continue
         away = _from_line(both, tag, before[-1], after[0], rec.beam.length)
-        away = away[np.isfinite(away)]
-        if not len(away):
+        chord = both.xy[:, after[0]] - both.xy[:, before[-1]]
+        turn = np.angle(np.exp(1j * (np.arctan2(chord[:, 1], chord[:, 0]) - both.angle[:, tag])))
+        seen = np.isfinite(away) & np.isfinite(turn)
+        if not seen.any():
             continue
-        beside = float(np.median(away))
-        moved = float(np.max(np.abs(away - beside)))
+        beside, aside = float(np.median(away[seen])), float(np.median(turn[seen]))
+        moved, turned = float(np.max(np.abs(away[seen] - beside))), float(np.max(np.abs(turn[seen] - aside)))
         name, most = f"tag {both.tag_id[tag]}", 3.0 * math.hypot(rec.tags.placement_sd, BESIDE)
         if abs(beside) > most:
             return f"it passes {1e3 * abs(beside):.2g} mm beside the middle of {name}"
         if moved > MOVED * rec.beam.length:
             return f"it moves by up to {1e3 * moved:.2g} mm against {name}"
+        if turned > TURNED:
+            return f"it turns by up to {math.degrees(turned):.2g} degrees against {name}"
     return ""
 
 
