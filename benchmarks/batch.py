@@ -1,4 +1,4 @@
-"""What a batch costs beside the learning itself, how far its queue goes, and how many outliers it names rightly."""
+"""What a batch costs beside the learning itself, and how far its queue goes."""
 
 from __future__ import annotations
 
@@ -8,44 +8,38 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
-import psutil
 
-from onebend.many.batch import BatchOutcome, run_batch, scores, summary_of, write_batch
-from onebend.many.tasks import EVERY, Item, ItemResult, TaskSettings, cluster, results_of
+from onebend.many.batch import BatchOutcome, run_batch, summary_of, write_batch
+from onebend.many.tasks import Item, ItemResult, TaskSettings, results_of
 from onebend.pipeline import learn
 from tests.many.stems import stem
 
 COUNT = 60  # recordings that are learned
 QUEUES = (1_000, 10_000)
-DIFFERENT = {"twice as stiff": (2.0, 0.0), "1.3 times as stiff": (1.3, 0.0), "tip half as stiff": (1.0, -np.log(2.0))}
 Found = TypeVar("Found")
 
 
 def main(count: int = COUNT) -> None:
-    """The four tables of the page."""
+    """The tables of the page."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         rng = np.random.default_rng(0)
         for i in range(count):
             stem(folder / "stems" / f"stem-{i}", scale=float(np.exp(0.1 * rng.standard_normal())), seed=i)
-        outcome = overhead(folder, count)
-        alarms(outcome)
+        overhead(folder, count)
         everything(folder, count)
     queue()
 
 
-def overhead(folder: Path, count: int) -> BatchOutcome:
+def overhead(folder: Path, count: int) -> None:
     """One worker process, so that the seconds of the learning add up; each recording also without a batch."""
     out, names = folder / "out", [f"stem-{i}" for i in range(count)]
     learn(folder / "stems" / names[0])  # what is loaded once
     alone = np.array([timed(learn, folder / "stems" / one)[0] for one in names])
-    starts: list[float] = []
-    began = time.perf_counter()
-    outcome = run_batch(folder / "stems", out, workers=1, began=noted(starts))
-    start, spent = starts[0] - began, time.perf_counter() - starts[0]
+    spent, outcome = timed(run_batch, folder / "stems", out, workers=1)
     learning = np.array([one.seconds for one in outcome.records])
     assert not outcome.failed
     writing, _ = timed(write, outcome)
@@ -54,15 +48,13 @@ def overhead(folder: Path, count: int) -> BatchOutcome:
     pairs = np.array([of[one] for one in names]) - alone
     rest = (spent - learning.sum()) / count
     print("## Beside the learning\n")
-    print(f"{count} recordings of marker tracks (38 frames each), one worker process.\n")
+    print(f"{count} recordings of marker tracks (38 frames each), in this process.\n")
     print("| | s |\n| --- | --- |")
     print(f"| reading and learning a recording, in the batch: mean | {learning.mean():.2f} |")
     print(f"| the same recording in the batch less alone: median of {count} pairs | {np.median(pairs):+.2f} |")
-    print(f"| all else, a recording: (run less start less learning) / {count} | {rest:.3f} |")
-    print(f"| start of the cluster, once | {start:.1f} |")
+    print(f"| all else, a recording: (run less learning) / {count} | {rest:.3f} |")
     print(f"| tables and page, once | {writing:.2f} |")
     print(f"\nA record takes {size / 1000:.0f} kB.\n")
-    return outcome
 
 
 def everything(folder: Path, count: int) -> None:
@@ -74,9 +66,7 @@ def everything(folder: Path, count: int) -> None:
     for rows in QUEUES:
         lines = [f"stems/stem-{i % count},row-{i},g{i % 20}" for i in range(rows)]
         (folder / "list.csv").write_text("path,name,group\n" + "\n".join(lines) + "\n")
-        starts: list[float] = []
-        outcome = run_batch(folder / "list.csv", folder / "out", workers=2, began=noted(starts))
-        spent = time.perf_counter() - starts[0]
+        spent, outcome = timed(run_batch, folder / "list.csv", folder / "out", workers=2)
         assert outcome.learned_now == 0
         writing, _ = timed(write, outcome)
         page = (folder / "out" / "index.html").stat().st_size / 1e6
@@ -85,25 +75,24 @@ def everything(folder: Path, count: int) -> None:
 
 
 def queue() -> None:
-    """Tasks that do nothing: what Dask itself takes."""
+    """Tasks that do nothing: what the processes take."""
     print("## The queue alone\n")
-    print("Tasks that do nothing, two worker processes; the scheduler lives in the command's process.\n")
+    print("Tasks that do nothing, two worker processes.\n")
     print("| tasks | s a task | memory of the command before, at its most [MB] | s until the first is done |")
     print("| --- | --- | --- | --- |")
     settings = TaskSettings(Path("/nowhere"), "0")
     for count in QUEUES:
         items = [Item(f"dry/stem-{i}", Path(f"/data/stems/dry/stem-{i}"), "dry") for i in range(count)]
-        with cluster(workers=2) as client:
-            before, most, first = now(), 0.0, 0.0
-            began = time.perf_counter()
-            seen = set()
-            for i, result in results_of(client, items, settings, nothing):
-                assert result.hash == "done"
-                first = first or time.perf_counter() - began
-                seen.add(i)
-                if len(seen) % 100 == 0:
-                    most = max(most, now())
-            spent = time.perf_counter() - began
+        before, most, first = now(), 0.0, 0.0
+        began = time.perf_counter()
+        seen = set()
+        for i, result in results_of(items, settings, 2, nothing):
+            assert result.hash == "done"
+            first = first or time.perf_counter() - began
+            seen.add(i)
+            if len(seen) % 100 == 0:
+                most = max(most, now())
+        spent = time.perf_counter() - began
         assert seen == set(range(count))
         print(f"| {count} | {spent / count:.4f} | {before:.0f}, {most:.0f} | {first:.1f} |")
     print()
@@ -114,57 +103,19 @@ def nothing(item: Item, settings: TaskSettings) -> ItemResult:  # noqa: ARG001
     return ItemResult("done", False)
 
 
-def alarms(outcome: BatchOutcome) -> None:
-    """Outliers among learned stems that are alike but for 10 % in level, and those that are then made different."""
-    rng = np.random.default_rng(1)
-    curves = np.log(np.array([one.k for one in outcome.records], dtype=float))[:, ::EVERY]
-    known = np.array([one.covariance for one in outcome.records], dtype=float)
-    tip_at = np.linspace(0.0, 1.0, curves.shape[1]) > 0.6
-    print("## Unlike the others\n")
-    print("Groups drawn from the learned k(s) above (their true level varies by 10 %), 400 of each size.\n")
-    print(f"| recordings of a group | groups that name one where none differs [%] | {_heads()} |")
-    print(f"| --- | --- |{' --- |' * len(DIFFERENT)}")
-    for size in (5, 10, 20, 50):
-        falsely, found = 0, dict.fromkeys(DIFFERENT, 0)
-        for _ in range(400):
-            rows = rng.choice(len(curves), size, replace=False)
-            falsely += named(curves[rows], known[rows])
-            for name, (factor, tip) in DIFFERENT.items():
-                changed = curves[rows].copy()
-                changed[0] += np.log(factor) + tip * tip_at
-                found[name] += bool(scores(changed, known[rows], ["g"] * size).reasons[0])
-        shares = " | ".join(f"{one / 4:.0f}" for one in found.values())
-        print(f"| {size} | {falsely / 4:.1f} | {shares} |")
-    print()
-
-
-def _heads() -> str:
-    return " | ".join(f"found: {name} [%]" for name in DIFFERENT)
-
-
-def named(log_k: Any, covariance: Any) -> bool:
-    """Whether any is an outlier."""
-    return any(scores(log_k, covariance, ["g"] * len(log_k)).reasons)
-
-
-def noted(starts: list[float]) -> Callable[[str], None]:
-    """Notes when the work begins."""
-    return lambda _: starts.append(time.perf_counter())
-
-
 def write(outcome: BatchOutcome) -> None:
     write_batch(outcome, summary_of(outcome, written_by="a benchmark"), version="0")
 
 
-def timed(work: Callable[..., Found], *arguments: object) -> tuple[float, Found]:
+def timed(work: Callable[..., Found], *arguments: object, **options: object) -> tuple[float, Found]:
     began = time.perf_counter()
-    found = work(*arguments)
+    found = work(*arguments, **options)
     return time.perf_counter() - began, found
 
 
 def now() -> float:
     """Memory of this process [MB]."""
-    return float(psutil.Process().memory_info().rss / 1e6)
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
 
 
 def memory() -> float:

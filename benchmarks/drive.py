@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.paper.study import TASKS
 from onebend.beam.stiffness import Scaled
 from onebend.drive.machine import DriveState
 from onebend.drive.placing import from_recording
@@ -36,7 +37,6 @@ from onebend.drive.virtual import VirtualRobot
 from onebend.errors import ControlError, OnebendError
 from onebend.lab.designs import find_design
 from onebend.lab.random_bench import FilmRequest, filming_of
-from onebend.lab.study import TASKS
 from onebend.learning.instruments import instruments_of
 from onebend.pipeline import learn
 from onebend.recording.folder import read_recording

@@ -10,13 +10,13 @@ import numpy as np
 
 from benchmarks.truth import parser_of, read_truth
 from onebend.live.live import Live, LiveSettings
-from onebend.live.played import Arrival, Disturbances, play
 from onebend.pipeline import Run, learn
 from onebend.recording.folder import read_recording
 from onebend.recording.pairing import read_log
 from onebend.recording.signals import step
 from onebend.recording.video import read_frames
 from onebend.records import Array
+from tests.live.disturbed import Arrival, Disturbances, play
 from tests.live.followed import Followed, follow
 
 BEAMS, KINDS = ("linear", "quadratic", "cubic"), ("train", "fast", "s08", "s06")

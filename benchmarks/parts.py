@@ -14,7 +14,7 @@ from pyapriltags import Detector
 
 from onebend.lab.designs import DESIGNS, Design
 from onebend.lab.fabrication import MouldSettings, carriers, clamp, mould, write_mesh
-from onebend.lab.sheet import PAGES, Fill, Sheet, tag_pages, write_pages
+from onebend.lab.sheet import PAGES, Fill, Sheet, files_of, tag_pages
 from onebend.records import Array
 
 DPI = 600
@@ -79,8 +79,8 @@ def sheet_row(page: str, size: float, family: str, folder: Path) -> str:
     """One sheet: corners found in the rendered PDF, outlines of its paths, against where they should be."""
     ids = tuple(range(12))
     (made,) = tag_pages(Sheet(ids, size, family, page=page))
-    (path,) = write_pages(folder / "t.pdf", [made], "t")
-    document = pypdfium2.PdfDocument(path.read_bytes())
+    (content,) = files_of(folder / "t.pdf", [made], "t").values()
+    document = pypdfium2.PdfDocument(content)
     image = np.ascontiguousarray(document[0].render(scale=DPI / 72, grayscale=True).to_numpy())
     boxes = [obj.get_bounds() for obj in document[0].get_objects()]
     document.close()

@@ -94,8 +94,8 @@ def silicone(folder: Path) -> None:
         "4 % of E here), and it turns in its clamp: the picture shows by how much, if `clamp_sd_deg` leaves it free.\n"
         "The maker's values are of 100 % strain and from memory; the paper's are of a finite element fit to films.\n"
         "They differ by a factor of two, and ours do not decide between them.\n\n"
-        "| body | clamp_sd_deg | E [kPa] | 95 % band | misfit, RMS [mm] | data sheet | paper |\n"
-        "| --- | --- | --- | --- | --- | --- | --- |"
+        "| body | clamp_sd_deg | E [kPa] | 95 % band | misfit, RMS [mm] | data sheet | paper | verdict |\n"
+        "| --- | --- | --- | --- | --- | --- | --- | --- |"
     )
     for name, (clicks, sheet, paper) in SILICONE.items():
         for clamp in CLAMPS:
@@ -105,9 +105,11 @@ def silicone(folder: Path) -> None:
             photo_folder(here, squared(name), f"{clicks},{end:.4f}", beam, 180.0, clamp)
             section = [(0, SIDE), (f"{end:.4f}", SIDE), (f"{end:.4f}", 2 * SIDE), (1, 2 * SIDE)]
             write_table(here / "section.csv", "s,width_m", section)
-            stiffness, rms = bending(learned([here]))
+            posterior = learned([here])
+            stiffness, rms = bending(posterior)
             k, low, high = 1e-3 * stiffness / (SIDE**4 / 12.0)
-            print(f"| {name} | {clamp:g} | {k:.0f} | {low:.0f} to {high:.0f} | {1e3 * rms:.2f} | {sheet} | {paper} |")
+            found = f"{k:.0f} | {low:.0f} to {high:.0f} | {1e3 * rms:.2f}"
+            print(f"| {name} | {clamp:g} | {found} | {sheet} | {paper} | {posterior.grade} |")
 
 
 def yarn(folder: Path) -> None:
@@ -115,17 +117,20 @@ def yarn(folder: Path) -> None:
         "\n**Acrylic yarn over a ledge** (sabetta/stitch-by-stitch, Singal et al. 2024): eleven pieces, each alone.\n"
         "The length of the overhang is the scale; 0.50 g/m is the maker's, from memory. The yarn's own waves, which\n"
         f"its weight does not pull straight, are left in the misfit. The paper says {YARN} (N mm^2 assumed).\n\n"
-        "| piece | overhang [cm] | EI [N mm^2] | 95 % band | misfit, RMS [mm] |\n| --- | --- | --- | --- | --- |"
+        "| piece | overhang [cm] | EI [N mm^2] | 95 % band | misfit, RMS [mm] | verdict |\n"
+        "| --- | --- | --- | --- | --- | --- |"
     )
     found = []
     for name, clicks in YARN_CLICKS.items():
         length = float(name[:2]) / 100.0
         beam = f'length_m = {length}\nmass_kg = {YARN_LINE * length}\nmass_along = "even"\nstiffness_along = "even"\n'
         image = DATA / "photos_yarn" / name
-        stiffness, rms = bending(learned([photo_folder(folder / name[:4], image, clicks, beam, 0.0, 10.0)]))
+        posterior = learned([photo_folder(folder / name[:4], image, clicks, beam, 0.0, 10.0)])
+        stiffness, rms = bending(posterior)
         found.append(1e6 * stiffness)
         k, low, high = found[-1]
-        print(f"| {name[:4]} | {100 * length:.0f} | {k:.3f} | {low:.3f} to {high:.3f} | {1e3 * rms:.1f} |")
+        values = f"{k:.3f} | {low:.3f} to {high:.3f} | {1e3 * rms:.1f} | {posterior.grade}"
+        print(f"| {name[:4]} | {100 * length:.0f} | {values} |")
     every = np.array(found)
     inside = int(np.sum((every[:, 1] < YARN) & (every[:, 2] > YARN)))
     print(f"\nMedian {np.median(every[:, 0]):.3f} N mm^2; the paper's value lies in {inside} of {len(every)} bands.")

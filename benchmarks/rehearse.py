@@ -8,6 +8,8 @@ band's: obtained over predicted sd of log k, root mean squares over the beam.
 from __future__ import annotations
 
 import argparse
+import hashlib
+import pickle
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import isnan, nan
@@ -17,7 +19,7 @@ import numpy as np
 
 from onebend.lab.forecast import PredictedBand, Setup, Tolerances, advise, known_beam, predict, setup_of
 from onebend.lab.random_bench import CameraName, FilmRequest, SensorName
-from onebend.lab.rehearsal import Obtained, obtained_of, simulate
+from onebend.lab.rehearsal import Obtained, SimulatedRun, obtained_of, simulate
 from onebend.records import Array
 
 KEPT = Path(__file__).parents[1] / "out" / "rehearse"
@@ -101,8 +103,17 @@ def study(case: Case, runs: int, jobs: int, advice: bool) -> Iterator[str]:
     first = advise(case.setup, now, count=1) if advice else ()
     asked += [(f"- {one.text}", one.setup, predict(one.setup)) for one in first]
     for name, one, predicted in asked:
-        obtained = obtained_of(simulate(one, range(runs), jobs=jobs, keep=KEPT))
+        obtained = obtained_of(kept(one, runs, jobs))
         yield f"| {name} | no fit came out |" if obtained is None else row(name, predicted, obtained)
+
+
+def kept(setup: Setup, runs: int, jobs: int) -> tuple[SimulatedRun, ...]:
+    """The runs of this setup, made once."""
+    file = KEPT / f"{hashlib.sha256(repr((setup, runs)).encode()).hexdigest()[:16]}.pickle"
+    if not file.exists():
+        file.write_bytes(pickle.dumps(simulate(setup, range(runs), jobs=jobs)))
+    found: tuple[SimulatedRun, ...] = pickle.loads(file.read_bytes())
+    return found
 
 
 def main() -> None:

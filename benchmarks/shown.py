@@ -35,21 +35,12 @@ class Shown:
     words: tuple[str, ...]  # what words or draws it
     numbers: tuple[str, ...]  # what its numbers come from
     pictures: tuple[tuple[str, str], ...] = ()  # made where, kept where
-    long: bool = False  # takes minutes: made only where it is named
 
 
 SHOWN = {
     "demo": Shown("docs/first-beam.md", (*DEMO, "--force"), OF_A_RUN, LEARNING),
     "plan": Shown("docs/plan.md", ("plan", "out/linear-beam"), ("cli/learning.py", "learning/design.py"), LEARNING),
     "learned": Shown("", ("examples/readme_picture.py",), ("report/figures.py", "report/style.py"), LEARNING),
-    "reproduce": Shown(
-        "",
-        ("reproduce", "-o", "out/paper", "--force"),
-        ("lab/rehearsal_commands.py", "lab/study_report.py"),
-        (*LEARNING, "lab", "control"),
-        (("out/paper/figures/summary.png", "docs/images/reproduce.png"),),
-        long=True,
-    ),
 }
 
 
@@ -117,14 +108,14 @@ def renew(name: str, run: Callable[[tuple[str, ...]], str] = printed) -> None:
 
 def _from_the_command_line() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("names", nargs="*", choices=[[], *SHOWN], help="default: all but those that take minutes")
+    parser.add_argument("names", nargs="*", choices=[[], *SHOWN], help="default: all")
     parser.add_argument("--list", action="store_true", help="say what is older than its sources, and make nothing")
     given = parser.parse_args()
     if given.list:
         for part in ("words", "numbers"):
             print(f"{part} of older sources: {', '.join(older(part)) or 'none'}")
         return
-    for name in given.names or [name for name, one in SHOWN.items() if not one.long]:
+    for name in given.names or SHOWN:
         print(name, flush=True)
         renew(name)
 

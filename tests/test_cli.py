@@ -18,8 +18,7 @@ from typer.testing import CliRunner, Result
 from onebend import __version__, cli
 from onebend.cli import learning as learning_commands, recordings as recording_commands
 from onebend.control.reach import reach
-from onebend.errors import LearningError, ObservationError
-from onebend.files.kept import users_folder
+from onebend.errors import LearningError
 from onebend.learning.run import Run
 from onebend.recording.bag_topics import BagContents
 from onebend.recording.folder import folder_of, read_recording
@@ -263,26 +262,6 @@ def test_a_bug_is_not_dressed_up_as_a_mistake(tmp_path: Path, monkeypatch: pytes
     assert isinstance(result.exception, ZeroDivisionError)
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), ObservationError("no contact")])
-def test_what_was_found_before_the_end_is_kept_and_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException
-) -> None:
-    def found_then(*_: Any, detect: Any, **__: Any) -> Any:
-        users, work = detect.__self__.folders
-        assert users == users_folder()
-        assert work.save("tags", b"tags")  # as where the user's cache cannot be written
-        raise error
-
-    monkeypatch.setattr(learning_commands, "learn_from", found_then)
-    result = run("learn", "REC", "-o", tmp_path / "out")
-    assert result.exit_code == (130 if isinstance(error, KeyboardInterrupt) else 2)
-    assert "is kept in" in result.stderr
-    [kept] = tmp_path.iterdir()
-    assert kept.name.startswith(".out.onebend-")
-    assert str(kept) in result.stderr
-    assert result.stdout == ""
-
-
 def test_interrupted_before_anything_was_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(learning_commands, "learn_from", fails(KeyboardInterrupt()))
     result = run("learn", "REC", "-o", tmp_path / "out")
@@ -370,29 +349,11 @@ def test_a_recording_may_be_named_by_its_file(tmp_path: Path, monkeypatch: pytes
     refused(run("learn", EXAMPLE, EXAMPLE / "recording.toml", "-o", tmp_path / "out"), "is given twice")
 
 
-def test_the_cache_is_shown_and_cleared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / "kept"
-    monkeypatch.setenv("ONEBEND_CACHE", str(folder))
-    assert f"Kept: the tags of 0 films, 0 MB, in {folder}" in run("cache").stdout
-    users = users_folder()
-    assert users is not None
-    for i in range(2):
-        users.save(f"tags-{i:040x}", bytes(999_968))
-    assert f"Kept: the tags of 2 films, 2 MB, in {folder}" in run("cache").stdout
-    told = json.loads(run("cache", "--json").stdout)
-    assert told == {"folder": str(folder), "entries": 2, "bytes": 2_000_000, "cleared": False}
-    assert f"Dropped: the tags of 2 films, 2 MB, in {folder}" in run("cache", "--clear").stdout
-    assert not folder.exists()
-    monkeypatch.setenv("ONEBEND_CACHE", "off")
-    assert "Nothing is kept: ONEBEND_CACHE turns it off" in run("cache").stdout
-    assert json.loads(run("cache", "--clear", "--json").stdout)["folder"] is None
-
-
 def test_show_draws_the_model(tmp_path: Path) -> None:
     save_model(tmp_path / "model.json", made_up.BEAM, written_by="a test")
     result = run("show", tmp_path)
     assert result.exit_code == 0
-    assert "█" in result.stdout
+    assert "━" in result.stdout
     assert "length 150 mm" in result.stdout
     fit = made_up.posterior()
     save_model(tmp_path / "model.json", fit.beam, written_by="a test", uncertain=fit.stiffness)

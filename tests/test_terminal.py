@@ -94,14 +94,17 @@ def test_a_pipe_gets_one_line_for_a_long_stage_and_none_for_a_short_one(monkeypa
     assert shown(where) == "long: 3.4 s\n"
 
 
-def test_plot_is_as_high_as_k(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_beam_without_a_band_is_a_line_as_high_as_k(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("COLUMNS", raising=False)
-    where = console()
-    where.print(plots.stiffness_plot(Beam(0.1, Powers((0.0, 0.08))), columns=32, rows=4))
-    rows = [line[10:42] for line in shown(where).splitlines()[1:5]]
-    eighths = np.array([[" ▁▂▃▄▅▆▇█".index(cell) for cell in row] for row in rows]).sum(axis=0)
-    np.testing.assert_allclose(eighths, 32 * np.linspace(0, 1, 32), atol=0.51)
-    assert "0.0400" in shown(where)
+    where, beam = console(), Beam(0.1, Powers((0.0, 0.08)))
+    where.print(plots.band_plot(beam, columns=32, rows=8))
+    where.print(tables.band_table(beam, columns=61))
+    rows = [line[10:42] for line in shown(where).splitlines()[1:9]]
+    lines = [next(7 - i for i, row in enumerate(rows) if row[column] == "━") for column in range(32)]
+    np.testing.assert_allclose((np.array(lines) + 0.5) / 8 * 1.05, np.linspace(0, 1, 32), atol=0.51 * 1.05 / 8)
+    assert "0.0480" in shown(where)
+    assert "95 %" not in shown(where)
+    assert "from" not in shown(where)
 
 
 def test_the_band_is_drawn_around_k_and_the_table_has_both() -> None:
@@ -182,8 +185,8 @@ def test_tables_fit_80_columns(markers: int) -> None:
 @pytest.mark.parametrize("k", [0.0, -0.1])
 def test_plot_of_no_beam_is_empty_not_an_error(k: float) -> None:
     where = console()
-    where.print(plots.stiffness_plot(Beam(0.1, Uniform(k))))
-    assert "█" not in shown(where)
+    where.print(plots.band_plot(Beam(0.1, Uniform(k))))
+    assert "━" not in shown(where)
 
 
 def test_tables_mark_the_chosen_and_say_why_others_are_out() -> None:

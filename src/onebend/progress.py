@@ -211,49 +211,27 @@ def one_blas_thread(work: Callable[Arguments, Result]) -> Callable[Arguments, Re
 
 
 class _Limit:
-    """One BLAS thread from the first function that enters to the last that leaves, over all of Python's threads.
-
-    The setting of OpenBLAS belongs to the process, so the last to leave puts it back. That of MKL belongs to one
-    thread, so each thread puts its own back.
-    """
+    """One BLAS thread from the first function that enters to the last that leaves, over all of Python's threads."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._here = threading.local()  # .depth: guards around this thread's work; .before: what it put to one
-        self._threads = 0  # inside
-        self._before: dict[Any, int] = {}  # libraries with one setting for the process, and that setting
+        self._inside = 0  # guards
+        self._before: dict[Any, int] = {}  # libraries and the callers' settings
 
     def __enter__(self) -> None:
-        here = self._here.__dict__
-        depth = here.get("depth", 0)
-        libraries = _libraries("numpy.linalg" in sys.modules, "scipy.linalg" in sys.modules)
-        if depth == 0 or len(here["before"]) < len(libraries):  # another BLAS may come with a later import
-            with self._lock:
-                self._threads += depth == 0
-                before = here.setdefault("before", {})
-                for library in libraries:
-                    if library not in before:
-                        before[library] = library.get_num_threads()
-                        self._before.setdefault(library, before[library])
-                        if before[library] != 1:
-                            _set(library, 1)
-        here["depth"] = depth + 1
+        with self._lock:
+            self._inside += 1
+            for library in _libraries("numpy.linalg" in sys.modules, "scipy.linalg" in sys.modules):
+                if library not in self._before:  # another may come with a later import
+                    self._before[library] = library.get_num_threads()
+                    _set(library, 1)
 
     def __exit__(self, *_: object) -> None:
-        here = self._here.__dict__
-        here["depth"] -= 1
-        if here["depth"]:
-            return
-        before = here.pop("before")
         with self._lock:
-            self._threads -= 1
-            for library, count in before.items():
-                if count != 1 and _is_of_one_thread(library):
-                    library.set_num_threads(count)
-            if self._threads == 0:
+            self._inside -= 1
+            if self._inside == 0:
                 for library, count in self._before.items():
-                    if count != 1 and not _is_of_one_thread(library):
-                        _set(library, count)
+                    _set(library, count)
                 self._before.clear()
 
 
@@ -272,17 +250,12 @@ def _libraries(*_loaded: bool) -> tuple[Any, ...]:
     return tuple(_FOUND.values())
 
 
-def _is_of_one_thread(library: Any) -> bool:
-    return library.internal_api == "mkl" or getattr(library, "threading_layer", "") == "openmp"
-
-
 def _set(library: Any, count: int) -> None:
     """Set the number of threads. threadpoolctl (3.8 and later) leaves that to the Python thread that did it first."""
-    release = getattr(library, "clear_controlling_thread", _nothing)
-    release(force=True)
+    if library.get_num_threads() == count:
+        return
+    if (release := getattr(library, "clear_controlling_thread", None)) is not None:
+        release(force=True)
     library.set_num_threads(count)
-    release(force=True)
-
-
-def _nothing(*, force: bool) -> None:
-    """For a library whose threads every Python thread may set."""
+    if release is not None:
+        release(force=True)

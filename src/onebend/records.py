@@ -380,6 +380,11 @@ def tags_among(seen: Markers | Observations) -> BoolArray:
     return np.ones(seen.xy.shape[1], dtype=bool) if seen.traced is None else ~seen.traced
 
 
+def marker_words(number: int, s: float) -> str:
+    """A tag by its id in `recording.toml`, a point of the outline by its place."""
+    return f"tag {number}" if number < POINT_ID else f"the outline at s = {s:.2g}"
+
+
 FEW = 6  # points of an outline that are read where there are no tags
 
 
@@ -392,8 +397,8 @@ def read_before_fit(seen: Markers | Observations) -> IntArray:
 
 
 def of_markers(markers: Markers, kept: IntArray) -> Markers:
-    """Some of the markers."""
-    if len(kept) == len(markers.s):
+    """Some of the markers, in this order."""
+    if np.array_equal(kept, np.arange(len(markers.s))):
         return markers
     every = {name: getattr(markers, name)[:, kept] for name in ("xy", "angle", "covariance")}
     by_camera = None if markers.by_camera is None else markers.by_camera[:, kept]

@@ -1,4 +1,4 @@
-"""Old or new, whole, wherever a process is killed; and the next run finds nothing in its way."""
+"""Wherever a process is killed, results are old or new and known as such; the next run finds nothing in its way."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def whole(found: dict[str, object], least: int) -> None:
     [
         ("fresh", "killed", 7),
         ("others", "killed", 7),
-        ("two steps", "killed", 7),
+        ("twice", "killed", 7),
         ("others", "full", 11),
-        ("two steps", "interrupted-lines", 211),
+        ("earlier", "interrupted-lines", 211),
     ],
 )
 def test_ended_at_some_points(tmp_path: Path, scenario: str, how: str, every: int) -> None:

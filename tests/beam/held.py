@@ -16,19 +16,21 @@ from numpy.typing import ArrayLike
 
 from onebend.beam import clamped_ends
 from onebend.beam.clamped_ends import (
+    end_jacobian,
     end_pose,
     follow_homotopy,
-    let_down,
     newton,
     release,
     restore,
     rigid,
+    second_variation,
     stands,
     with_end_wrench,
 )
+from onebend.beam.continuation import to_the_left
 from onebend.beam.loads import Loads
 from onebend.beam.problem import Problem, Resolution, Rod, make_problem
-from onebend.beam.statics import Equilibrium, node_angles, potential
+from onebend.beam.statics import Equilibrium, gradient, node_angles, potential
 from onebend.errors import MechanicsError
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, IntArray
@@ -257,3 +259,49 @@ def _join(problem: Problem, parts: list[ClampedEquilibrium]) -> ClampedEquilibri
         np.concatenate([p.solved.stable for p in parts]),
         np.concatenate([p.jumped for p in parts]),
     )
+
+
+_FLAT = 1e-3  # least curvature of the energy in a descent, over the bending stiffness
+
+
+def let_down(problem: Problem, start: Array, goal: Array) -> tuple[Array, Array] | None:
+    """One frame without strain: descends the energy with the end fixed, by shortened Newton steps. Returns shape and
+    wrench, or None."""
+    q, there = restore(problem, start, goal)
+    if not there[0]:
+        return None
+    for _ in range(200):
+        step, wrench, rising = _way_down(problem, q)
+        turn = float(np.max(np.abs(node_angles(problem, step) - problem.alpha0)))
+        if turn < 1e-5 and rising:
+            shape, end_wrench, near = newton(problem, q, wrench, goal, trust=0.1)
+            return (shape, end_wrench) if near[0] and stands(problem, shape, end_wrench)[0] else None
+        step, energy = step * min(1.0, 0.3 / max(turn, 1e-300)), potential(problem, q)[0]
+        for _ in range(30):
+            lower, there = restore(problem, q + step, goal)
+            if there[0] and potential(problem, lower)[0] < energy:
+                break
+            step = 0.5 * step
+        else:
+            return None
+        q = lower
+    return None
+
+
+def _way_down(problem: Problem, q: Array) -> tuple[Array, Array, bool]:
+    """One frame: a step along the free directions, the balancing wrench, whether the energy is convex."""
+    scale = np.broadcast_to(problem.unbend, q.shape)[0]
+    c = end_jacobian(problem, q)[0] * scale
+    free = np.linalg.qr(c.T, mode="complete")[0][:, 3:]
+    slope = gradient(problem, q)[0] * scale
+    wrench = np.linalg.lstsq(c.T, slope, rcond=None)[0][None]
+    second = second_variation(problem, q, wrench)[0] * scale[:, None] * scale
+    values, vectors = np.linalg.eigh(free.T @ second @ free)
+    modes = free @ vectors * scale[:, None]  # (Q, Q - 3) curvature
+    amplitude = (free @ vectors).T @ slope
+    down = -amplitude / np.maximum(np.abs(values), _FLAT)
+    falling = values < 0.0
+    # At a perfect bifurcation: to the left.
+    left = to_the_left(problem, q, modes[None])[0]
+    down = np.where(falling & (np.abs(down) < 1e-4), 1e-4 * left, down)
+    return (modes @ down)[None], wrench, not np.any(falling)

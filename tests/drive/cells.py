@@ -18,7 +18,7 @@ from onebend.drive.run import DriveOutcome, drive
 from onebend.drive.virtual import VirtualCell, VirtualSetup
 from onebend.lab.bench import PushProfile
 from onebend.lab.designs import find_design
-from onebend.lab.filming import shapes_at
+from onebend.lab.filming import between_places, shapes_at
 from onebend.lab.random_bench import FilmRequest, filming_of
 from onebend.live.force_sensors import TOOL, WRENCH
 from onebend.live.guidance import CaptureSettings
@@ -191,8 +191,8 @@ class ScriptedPush:
 
 def way_of(beam: Beam, push: PushProfile, period: float = 0.008) -> Array:
     """(T, 2) m of the pushed point."""
-    shapes = shapes_at(beam, push, np.arange(0.0, push.duration, period))
-    return shapes.at(np.array([push.at_s]))[0][:, 0]
+    poses = shapes_at(beam, push, np.arange(0.0, push.duration, period))
+    return between_places(poses, np.array([push.at_s]))[:, 0, :2]
 
 
 def recorded_push(

@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from onebend.errors import ResultsError
-from onebend.files import publish as swapping, publish as targets, single_file
 from onebend.files.publish import (
     OutputFolder,
     abandon,
@@ -20,7 +19,6 @@ from onebend.files.publish import (
     changed_files,
     files_in,
     finish,
-    left_behind,
     own_files,
     prepare,
     publish,
@@ -56,18 +54,11 @@ def place_at(out: Path, *, overwrite: bool = False, kind: str = KIND) -> Iterato
 
 def run(out: Path, mark: str = "new", figures: tuple[str, ...] = ("a.png",), *, overwrite: bool = False) -> None:
     with place_at(out, overwrite=overwrite) as place:
-        assert publish(place, partial(write, mark=mark, figures=figures)) is None
+        publish(place, partial(write, mark=mark, figures=figures))
 
 
 def earlier(out: Path, mark: str = "old", figures: tuple[str, ...] = ("a.png", "b.png")) -> None:
     run(out, mark, figures)
-
-
-@pytest.fixture(params=["one step", "two steps"], autouse=True)
-def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All of it with and without the system's exchange of two names."""
-    if request.param == "two steps":
-        monkeypatch.setattr(swapping, "exchange", lambda *_: False)
 
 
 def test_results_appear_whole_and_the_workplace_goes(tmp_path: Path) -> None:
@@ -131,45 +122,6 @@ def test_what_is_not_ours_stays_where_it_is(tmp_path: Path) -> None:
     (out / "mine").chmod(0o700)
 
 
-def test_without_hard_links_what_is_not_ours_moves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def no_link(*_: object, **__: object) -> None:
-        raise PermissionError(1, "Operation not permitted")
-
-    out = tmp_path / "out"
-    earlier(out)
-    (out / "notes.txt").write_text("mine")
-    (out / "sub").mkdir()
-    (out / "sub" / "link").symlink_to("nowhere")
-    monkeypatch.setattr(os, "link", no_link)
-    run(out, overwrite=True)
-    assert (out / "notes.txt").read_text() == "mine"
-    assert (out / "sub" / "link").is_symlink()
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
-
-
-def test_a_file_that_appears_during_the_swap_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    out = tmp_path / "out"
-    earlier(out)
-
-    def then(where: Path) -> None:
-        (out / "late.txt").write_text("mine")
-        (out / "new.png").write_text("mine")
-        original(where)
-
-    def write_more(folder: Path) -> None:
-        write(folder)
-        (folder / "new.png").write_text("new")
-
-    original = single_file.sync_folder
-    monkeypatch.setattr(swapping, "sync_folder", lambda where: then(where) if where.name == "complete" else None)
-    with place_at(out, overwrite=True) as place:
-        left = publish(place, write_more)
-        assert left is not None
-    assert (out / "late.txt").read_text() == "mine"
-    assert (out / "new.png").read_text() == "new"
-    assert (left / "new.png").read_text() == "mine"
-
-
 def test_a_stranger_with_our_name_is_not_replaced(tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()
@@ -224,7 +176,7 @@ def test_a_failed_run_leaves_the_old_results(tmp_path: Path, overwrite: bool) ->
         publish(place, fails)
     assert out.exists() == overwrite
     assert not overwrite or (out / "model.json").read_text() == "old"
-    assert not left_behind(out)
+    assert [path.name for path in tmp_path.iterdir()] == (["out"] if overwrite else [])
     run(out, overwrite=overwrite)  # and the next run is not in its way
     assert (out / "model.json").read_text() == "new"
 
@@ -255,22 +207,23 @@ def test_a_run_may_publish_again_with_more(tmp_path: Path) -> None:
     assert files_in(out) == ["figures/a.png", "model.json", "notes.txt", "summary.json"]
 
 
-def test_no_results_into_a_recording_nor_onto_a_file_nor_where_one_stands(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_results_into_a_recording_nor_onto_a_file(tmp_path: Path) -> None:
     (tmp_path / "recording.toml").write_text("format = 1")
     for out, words in (
         (tmp_path, "this is a recording"),
         (tmp_path / "recording.toml", "this is a file"),
         (tmp_path / "recording.toml" / "out", "cannot be made"),
-        (Path("/"), "disk is mounted"),
     ):
         with pytest.raises(ResultsError, match=words):
             prepare(out, kind=KIND, overwrite=True)
-    (tmp_path / "out").mkdir()
-    monkeypatch.chdir(tmp_path / "out")
-    with pytest.raises(ResultsError, match="you stand in this folder"):
-        prepare(Path(), kind=KIND, overwrite=True)
+
+
+def test_results_go_to_the_folder_where_one_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "out"
+    earlier(out)
+    monkeypatch.chdir(out)
+    run(Path(), overwrite=True)
+    assert Path("model.json").read_text() == "new"
 
 
 def test_a_link_to_a_folder_stays_a_link(tmp_path: Path) -> None:
@@ -292,24 +245,38 @@ def test_one_file_of_a_result_can_be_replaced(tmp_path: Path) -> None:
     assert not amend(out / "model.json", b"damped")
 
 
-def test_what_could_not_be_carried_over_is_refused_at_the_start(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = tmp_path / "out"
-    earlier(out)
-    (out / "data").mkdir()
-    original = Path.iterdir
-    with monkeypatch.context() as patch:
-        patch.setattr(targets, "_device", lambda folder: 2 if folder.name == "data" else 1)
-        with pytest.raises(ResultsError, match="data: here a disk is mounted"):
-            prepare(out, kind=KIND, overwrite=True)
+def test_what_did_not_move_in_is_moved_in_by_the_next_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out, moved = tmp_path / "out", list[Path]()
+    earlier(out, figures=("a.png", "b.png"))
+    original = Path.replace
 
-    def locked(folder: Path) -> Iterator[Path]:
-        if folder.name == "data":
-            raise PermissionError(13, "Permission denied", str(folder))
-        return original(folder)
+    def cut(self: Path, target: Path) -> Path:
+        if self.parent.name == "moving" or self.parent.parent.name == "moving":
+            moved.append(self)
+            if len(moved) == 2:
+                raise OSError(5, "Input/output error", str(self))
+        return original(self, target)
 
-    monkeypatch.setattr(Path, "iterdir", locked)
-    with pytest.raises(ResultsError, match=r"data: cannot be looked into \(Permission denied\)"):
-        prepare(out, kind=KIND, overwrite=True)
+    monkeypatch.setattr(Path, "replace", cut)
+    with pytest.raises(ResultsError, match="Input/output error"):
+        run(out, "new", figures=("a.png",), overwrite=True)
+    assert (out / "figures" / "a.png").read_text() == "new"
     assert (out / "model.json").read_text() == "old"
+    assert changed_files(out) == ["figures/a.png", "figures/b.png"]
+    with pytest.raises(ResultsError, match="already holds results"):
+        prepare(out, kind=KIND, overwrite=False)
+    assert changed_files(out) == []
+    assert (out / "model.json").read_text() == "new"
+    assert not (out / "figures" / "b.png").exists()
+    run(out, "newer", overwrite=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_folder_in_the_way_of_a_workplace_is_not_touched(tmp_path: Path) -> None:
+    place = prepare(tmp_path / "out", kind=KIND, overwrite=False)
+    finish(place)
+    place.work.mkdir()
+    (place.work / "thesis.tex").write_text("mine")
+    with pytest.raises(ResultsError, match="is in the way"):
+        prepare(tmp_path / "out", kind=KIND, overwrite=False)
+    assert (place.work / "thesis.tex").read_text() == "mine"

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.live.live import Live
-from onebend.live.played import Arrival
 from onebend.records import Array
+from tests.live.disturbed import Arrival
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from onebend.live.guidance import CaptureOutcome, CaptureSettings, CaptureState
-from onebend.live.played import Disturbances, OwnClock, PlayedCamera, PlayedForce
 from onebend.live.session import record
 from onebend.live.sources import PlayedClock
+from tests.live.disturbed import Disturbances, DisturbedCamera, DisturbedForce, OwnClock
 from tests.live.streamed import OFFSET, frames, log, toml
 
 SETTINGS = CaptureSettings(follow=False, setup=0.3, tare=0.3, rest=0.8, least_rest=0.4, live_beside=False)
@@ -31,12 +31,12 @@ def folder(path: Path) -> Path:
     return path
 
 
-def camera(how: Disturbances = Disturbances(), seed: int = 0) -> PlayedCamera:
-    return PlayedCamera(frames(), how, own=CAMERA_CLOCK, seed=seed)
+def camera(how: Disturbances = Disturbances(), seed: int = 0) -> DisturbedCamera:
+    return DisturbedCamera(frames(), how, CAMERA_CLOCK, seed)
 
 
-def force(how: Disturbances = Disturbances(), seed: int = 0) -> PlayedForce:
-    return PlayedForce(log(), OFFSET, how, own=FORCE_CLOCK, seed=seed)
+def force(how: Disturbances = Disturbances(), seed: int = 0) -> DisturbedForce:
+    return DisturbedForce(log(), OFFSET, how, FORCE_CLOCK, seed)
 
 
 def recorded(

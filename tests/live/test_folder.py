@@ -80,11 +80,10 @@ def test_nothing_is_written_out_of_the_recordings_folder(tmp_path: Path, name: s
         places_for(place, COLUMNS, overwrite=True)
 
 
-@pytest.mark.parametrize("spec", ["bag:{}/push.mcap", "bag:{}"])
-def test_a_bag_that_is_read_is_not_replaced(tmp_path: Path, spec: str) -> None:
-    place = folder(tmp_path, toml().replace('"force.csv"', '"push.mcap"'))
-    (place / "push.mcap").write_bytes(b"a bag")
-    read = files_of(None, force_of(spec.format(place)))
+def test_a_log_that_is_read_is_not_replaced(tmp_path: Path) -> None:
+    place = folder(tmp_path)
+    (place / "force.csv").write_bytes(b"fx_N,fy_N")
+    read = files_of(None, force_of(f"csv:{place / 'force.csv'}"))
     with pytest.raises(RecordingError, match="would be replaced"):
         places_for(place, COLUMNS, overwrite=True, read=read)
     assert places_for(place, COLUMNS, overwrite=True).earlier

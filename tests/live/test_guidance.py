@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from onebend.live.guidance import TagView, Widening, setup_advice, tag_views
+from onebend.live.guidance import TagView, setup_advice, tag_views
 from onebend.recording.tag_finder import Finder
 from onebend.records import Array
 from tests.recording.filmed import HEIGHT, WIDTH, corners_of, picture, poses, recording, view
@@ -89,20 +89,3 @@ def test_the_views_are_where_the_tags_are() -> None:
     assert [tag.on_base for tag in views] == [True, False, False, False]
     true = corners_of(REST, view())
     assert np.abs(np.array([tag.corners for tag in views]) - true).max() < 0.5
-
-
-SIZES = {"tags": 1.0, "force": 0.01, "drift": 0.002, "load": 0.5}
-
-
-def test_a_band_that_widens_says_why() -> None:
-    widening = Widening()
-    assert widening.why(float("nan"), 0.0, {}) == ""
-    assert widening.why(0.20, 0.5, SIZES) == ""
-    assert widening.why(0.22, 0.5, {**SIZES, "tags": 3.0}) == ""  # hardly wider
-    said = widening.why(0.30, 0.5, {**SIZES, "tags": 4.0, "drift": 0.004, "load": 0.9})
-    assert said.startswith("wider than the ± 20 % that it was: the tags miss the fitted shape by 4 times as much")
-    assert "the zero of the force drifts 2 times as much" in said
-    assert "grows with the force" not in said  # two are named
-    assert widening.why(0.10, 0.5, {**SIZES, "tags": 4.0}) == ""  # narrower than ever: from here on
-    assert "k(s) is now known over 90 % of the beam" in widening.why(0.15, 0.9, {**SIZES, "tags": 4.0})
-    assert "all frames were read again" in widening.why(0.15, 0.5, SIZES)

@@ -17,7 +17,6 @@ import pytest
 from onebend.errors import ObservationError, RecordingError
 from onebend.learning.optimizer import FitSettings
 from onebend.live.live import Live, LiveSettings, LiveState
-from onebend.live.played import Arrival, Disturbances, play
 from onebend.live.review import ENDED, Later, Reviewed, ReviewerBeside, Seen, go_on, review
 from onebend.pipeline import learn, learn_observed
 from onebend.recording.entries import GravityEntry
@@ -27,6 +26,7 @@ from onebend.recording.tag_finder import Finder
 from onebend.recording.tags import in_blocks, track_block
 from onebend.recording.video import read_frames
 from onebend.records import Detections
+from tests.live.disturbed import Arrival, Disturbances, play
 from tests.live.followed import Followed, follow
 from tests.live.streamed import BEAM, OFFSET, described, frames, log
 
@@ -86,11 +86,6 @@ def test_nothing_that_is_lost_late_or_doubled_stops_it() -> None:
     latency = followed.latency[np.isfinite(followed.latency)]
     assert len(latency) > 10
     assert np.max(latency[-3:]) < 0.1  # those before waited for the review, which this process made
-
-
-def test_no_sample_at_a_time_is_refused() -> None:
-    with pytest.raises(RecordingError, match="at least one sample"):
-        Disturbances(samples_each=0)
 
 
 def test_after_the_last_frame_the_band_is_that_of_learn() -> None:

@@ -15,7 +15,7 @@ import pytest
 from onebend.errors import RecordingError
 from onebend.live import recording_folder as capture_folder, session as capture_session
 from onebend.live.guidance import STAGES, CaptureOutcome, CaptureState
-from onebend.live.played import PlayedForce
+from onebend.live.played import PlayedCamera, PlayedForce
 from onebend.live.recording_folder import FilmWriter
 from onebend.live.session import record
 from onebend.live.sources import Clock, End, Frame, HostClock, PlayedClock, Samples, StampTiming, measurable
@@ -174,7 +174,7 @@ def test_numbers_beyond_all_measures_are_left_out_and_counted(tmp_path: Path) ->
     sent = log()
     strong, odd = sent.force.copy(), np.arange(5, len(sent.time), 40)
     strong[odd, 0] = np.resize([1e31, -np.inf, 1e200], len(odd))
-    sensor = PlayedForce(replace(sent, force=strong), OFFSET, own=FORCE_CLOCK)
+    sensor = PlayedForce(replace(sent, force=strong), OFFSET)
     outcome = record(folder(tmp_path), camera(), sensor, SETTINGS, clock=PlayedClock())
     assert not outcome.fault
     assert 10 <= outcome.state.lost_samples <= len(odd)  # it ends with the last rest
@@ -224,8 +224,7 @@ def test_the_log_stays_where_there_is_no_room_to_write_it_anew(tmp_path: Path, m
 
 def test_a_bad_picture_is_not_filmed_until_it_is_good_or_told_to(tmp_path: Path) -> None:
     dark = [replace(frame, luma=np.zeros_like(frame.luma)) for frame in frames()]
-    source = camera()
-    source._film = dark
+    source = PlayedCamera(dark)
     states: list[CaptureState] = []
     outcome = record(folder(tmp_path), source, force(), SETTINGS, states.append, clock=PlayedClock())
     assert outcome.film is None
@@ -233,8 +232,7 @@ def test_a_bad_picture_is_not_filmed_until_it_is_good_or_told_to(tmp_path: Path)
     assert {state.stage for state in states} == {"exposure"}
     assert "the picture is dark" in states[-1].advice[0]
     assert not (tmp_path / "video.mp4").exists()
-    source = camera()
-    source._film = dark
+    source = PlayedCamera(dark)
     begin = threading.Event()
     begin.set()
     outcome = record(folder(tmp_path), source, force(), SETTINGS, begin=begin, clock=PlayedClock())

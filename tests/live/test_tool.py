@@ -8,12 +8,12 @@ from functools import cache
 import numpy as np
 
 from onebend.live.live import Live, LiveSettings, seen_by
-from onebend.live.played import play
 from onebend.live.review import Seen, observed_in
 from onebend.recording.camera import to_plane
 from onebend.recording.entries import PushEntry
 from onebend.recording.video import Picture
 from onebend.records import Array
+from tests.live.disturbed import play
 from tests.live.followed import follow
 from tests.live.streamed import BEAM, DURATION, OFFSET, REST, described, force_at, frames, log
 from tests.recording.filmed import GROUND, HEIGHT, WIDTH, view

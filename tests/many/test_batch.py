@@ -1,4 +1,4 @@
-"""Recordings in, tables out, on a Dask cluster inside this process; stopped, it goes on."""
+"""Recordings in, tables out; stopped, it goes on."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -21,7 +20,7 @@ from onebend.lab.bench import ForceSensor, PushProfile
 from onebend.lab.filming import marker_recording
 from onebend.many import tasks as running
 from onebend.many.batch import BatchOutcome, run_batch, summary_of, write_batch
-from onebend.many.tasks import EVERY, PLACES, RECORDS, cluster, read_record, record_path, write_record
+from onebend.many.tasks import EVERY, PLACES, RECORDS, read_record, record_path, write_record
 from onebend.pipeline import learn
 from onebend.progress import Silent
 from onebend.results.model import load_model
@@ -42,15 +41,10 @@ def stems(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def one_cluster() -> Iterator[None]:
-    """All batches of this module on one cluster in this process: its start is not what is tested."""
-    with cluster(workers=2, processes=False) as client, pytest.MonkeyPatch.context() as patch:
-
-        @contextmanager
-        def shared(*_: Any, **__: Any) -> Iterator[Any]:
-            yield client
-
-        patch.setattr(running, "cluster", shared)
+def _in_this_process() -> Iterator[None]:
+    """The start of processes is not what is tested."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(running, "available_cores", lambda: 1)
         yield
 
 

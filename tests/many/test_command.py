@@ -3,19 +3,12 @@
 from __future__ import annotations
 
 import json
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pyarrow.parquet as pq
-import pytest
 from typer.testing import CliRunner, Result
 
 from onebend import cli
-from onebend.many import tasks as running
-from onebend.many.tasks import cluster
 from onebend.report.wording import significant
 from tests.many.stems import stem
 
@@ -34,19 +27,6 @@ def run(*arguments: object) -> Result:
     return CliRunner().invoke(cli.app, ["batch", *(str(one) for one in arguments)])
 
 
-@pytest.fixture
-def _on_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The cluster that is asked for, but in this process: its start is not what is tested."""
-
-    @contextmanager
-    def inside(address: str | None, workers: int | None, *, processes: bool) -> Iterator[Any]:  # noqa: ARG001
-        with cluster(address, workers, processes=False) as client:
-            yield client
-
-    monkeypatch.setattr(running, "cluster", inside)
-
-
-@pytest.mark.usefixtures("_on_threads")
 def test_what_is_shown_and_written(tmp_path: Path) -> None:
     stems, out = tmp_path / "stems", tmp_path / "out"
     stem(stems / "good", seed=1)
@@ -83,13 +63,4 @@ def test_what_cannot_be_met_is_said(tmp_path: Path) -> None:
     refused(run(stems, "-o", tmp_path / "out"), "neither a folder nor a file")
     stems.mkdir()
     refused(run(stems, "-o", tmp_path / "out"), "holds no recording", "Name another")
-    both = run(stems, "-o", tmp_path / "out", "--workers", 2, "--scheduler", "tcp://127.0.0.1:1")
-    refused(both, "Give --scheduler or --workers")
     assert [path.name for path in tmp_path.iterdir()] == ["stems"]
-
-
-def test_without_dask_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "stems").mkdir()
-    (tmp_path / "stems" / "recording.toml").touch()
-    monkeypatch.setitem(sys.modules, "dask", None)
-    refused(run(tmp_path / "stems", "-o", tmp_path / "out"), "pip install 'onebend[batch]'")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -17,14 +18,16 @@ from onebend.beam.problem import make_problem
 from onebend.beam.stiffness import Uniform
 from onebend.errors import ObservationError, OnebendError
 from onebend.learning.posterior import fit
+from onebend.learning.validation import validate
 from onebend.recording.camera import project
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe
-from onebend.recording.photos import level_view, traced_photos
+from onebend.recording.photos import level_view, photo_observations
 from onebend.recording.template import write_template
 from onebend.records import Array, View
 from onebend.report.figures import check_png
 from onebend.report.overview import overview
+from onebend.report.verdict import validation_verdict
 from tests.recording.filmed import HEIGHT, SIZE, WIDTH, picture, view
 
 LENGTH, MASS, K, HALF = 0.12, 0.02, 0.011, 0.003
@@ -40,18 +43,20 @@ ORIGIN, SCALE, TURN = (
 
 
 @cache
-def shape() -> tuple[Array, Array]:
-    """(n, 2) m and (n,) rad: the body under its weight, clamped at `TURN` against the level."""
+def shape(turn: float = TURN) -> tuple[Array, Array]:
+    """(n, 2) m and (n,) rad: the body under its weight, clamped at `turn` against the level."""
     body = Beam(LENGTH, Uniform(K), mass_per_length=Uniform(MASS / LENGTH))
-    down = -np.pi / 2 - TURN
+    down = -np.pi / 2 - turn
     found = follow(make_problem(body, weight(G * np.array([[np.cos(down), np.sin(down)]]))))
     return found.xy(FINE)[0], found.angle(FINE)[0]
 
 
-def painted(seen: View, under: Array | None = None, *, size: tuple[int, int] = (WIDTH, HEIGHT)) -> Image.Image:
+def painted(
+    seen: View, under: Array | None = None, *, size: tuple[int, int] = (WIDTH, HEIGHT), turn: float = TURN
+) -> Image.Image:
     """The body in a picture, before the grey picture `under` or a plain ground, with noise."""
     times = 10
-    xy, angle = shape()
+    xy, angle = shape(turn)
     normal = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
     flanks = np.concatenate([xy + HALF * normal, (xy - HALF * normal)[::-1]])
     mask = Image.new("L", (times * size[0], times * size[1]), 0)
@@ -91,7 +96,7 @@ def test_a_level_view_is_a_plain_similarity() -> None:
 @pytest.mark.parametrize("off", [0.0, 3.0])
 def test_the_curve_lies_on_the_body_and_k_follows_from_its_weight(tmp_path: Path, off: float) -> None:
     folder = folder_of(tmp_path / "one", painted(LEVEL), LEVEL, off=off)
-    o, (curve,) = traced_photos(read_recording(folder))
+    o, (curve,) = photo_observations(read_recording(folder))
     true = project(LEVEL, shape()[0])
     away = np.linalg.norm(curve.px[0][:, None] - true, axis=2).min(axis=1)[np.isfinite(curve.sd[0])]
     assert len(away) >= 27
@@ -107,27 +112,34 @@ def test_the_scale_is_the_bodys_own_length(tmp_path: Path) -> None:
     """The same body in a picture three times as large, which is made smaller before its edges are looked for."""
     large = level_view(3.0 * ORIGIN, 3.0 * SCALE, TURN)
     image = painted(large, size=(3 * WIDTH, 3 * HEIGHT))
-    o, _ = traced_photos(read_recording(folder_of(tmp_path / "large", image, large)))
+    o, _ = photo_observations(read_recording(folder_of(tmp_path / "large", image, large)))
     seen = np.isfinite(o.xy[0, :, 0])
     assert float(np.max(np.linalg.norm(o.xy[0, :, None] - shape()[0], axis=2).min(axis=1)[seen])) < 2e-4
 
 
-def test_beside_a_tag_the_camera_may_look_from_anywhere(tmp_path: Path) -> None:
-    """The tags on the bench give plane, scale and direction; the first click says where the body begins."""
-    seen = view(dist=(0.0,) * 5)
+def test_beside_a_tag_the_camera_may_look_from_anywhere_and_the_clamp_may_be_turned(tmp_path: Path) -> None:
+    """The tags give plane, scale and direction in each picture; the first click says where the body begins."""
     tags = np.array([[0.02, -0.045, -TURN], [0.11, 0.035, -TURN]])
-    image = painted(seen, picture(tags, (0, 1), seen))
-    matrix = seen.matrix
-    table = (
-        f"[tags]\nsize_m = {SIZE}\n[[tags.on_base]]\nid = 0\nturn_deg = {-np.degrees(TURN)}\n[[tags.on_base]]\nid = 1\n"
+    matrix, other = view().matrix, 0.7  # rad, of the clamp in the second picture
+    table = f"[tags]\nsize_m = {SIZE}\n[[tags.on_base]]\nid = 0\nturn_deg = {-np.degrees(TURN)}\n"
+    table += f"[[tags.on_base]]\nid = 1\nturn_deg = {-np.degrees(TURN)}\n[camera]\nwidth = {WIDTH}\n"
+    table += f"height = {HEIGHT}\nfx = {matrix[0, 0]}\nfy = {matrix[1, 1]}\ncx = {matrix[0, 2]}\ncy = {matrix[1, 2]}\n"
+    plain = view(dist=(0.0,) * 5)
+    folder = folder_of(
+        tmp_path / "tag", painted(plain, picture(tags, (0, 1), plain)), plain, tags=table + "dist = [0, 0, 0, 0]\n"
     )
-    table += f"turn_deg = {-np.degrees(TURN)}\n[camera]\nwidth = {WIDTH}\nheight = {HEIGHT}\nfx = {matrix[0, 0]}\n"
-    table += f"fy = {matrix[1, 1]}\ncx = {matrix[0, 2]}\ncy = {matrix[1, 2]}\ndist = [0, 0, 0, 0]\n"
-    o = observe(folder_of(tmp_path / "tag", image, seen, tags=table))
-    true = shape()[0]
-    off = np.linalg.norm(o.xy[0, :, None] - true, axis=2).min(axis=1)[np.isfinite(o.xy[0, :, 0])]
-    assert len(off) >= 27
-    assert float(np.max(off)) < 5e-4
+    cos, sin = np.cos(other - TURN), np.sin(other - TURN)
+    turned = replace(plain, rotation=plain.rotation @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]))
+    painted(turned, picture(tags, (0, 1), turned), turn=other).save(folder / "photos" / "b.png")
+    px = project(turned, shape(other)[0][[0, 1200, 2600, 4000]])
+    with (folder / "clicks.csv").open("a") as clicks:
+        clicks.writelines(f"b.png,{x},{y}\n" for x, y in px.tolist())
+    (folder / "loads.csv").write_text(f"pose,s,mass_kg,clamp_deg\na.png,,,\nb.png,,,{np.degrees(other)}\n")
+    o = observe(folder)
+    for xy, turn in zip(o.xy, (TURN, other), strict=True):
+        off = np.linalg.norm(xy[:, None] - shape(turn)[0], axis=2).min(axis=1)[np.isfinite(xy[:, 0])]
+        assert len(off) >= 25
+        assert float(np.max(off)) < 6e-4
     band = fit([o]).band(np.array([0.3]))
     assert band.low[0] < K < band.high[0]
 
@@ -178,6 +190,13 @@ def test_a_curve_that_ends_before_the_last_click_is_refused(tmp_path: Path) -> N
     image[:, int(cut[0]) :] = GROUND
     with pytest.raises(ObservationError, match="edges end before its tip"):
         observe(folder_of(tmp_path / "cut", Image.fromarray(image), LEVEL))
+
+
+def test_a_photo_alone_validates_a_beam(tmp_path: Path) -> None:
+    """A pose alone has no motion: a miss is counted from the straight beam."""
+    o = observe(folder_of(tmp_path / "one", painted(LEVEL), LEVEL))
+    said = validation_verdict([validate(Beam(LENGTH, Uniform(K), mass_per_length=Uniform(MASS / LENGTH)), o)])
+    assert "shapes are predicted to" in said
 
 
 def test_check_draws_the_curve_on_the_photo(tmp_path: Path) -> None:

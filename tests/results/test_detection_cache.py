@@ -84,7 +84,7 @@ def test_nothing_in_an_entry_is_run(tmp_path: Path) -> None:
 
 
 def test_a_film_is_searched_once_whatever_its_name(tmp_path: Path, film: VideoEntry, searches: list[Path]) -> None:
-    cache = DetectionCache((KeptFolder(tmp_path / "kept"),), "1")
+    cache = DetectionCache(KeptFolder(tmp_path / "kept"), "1")
     assert equal(cache.detect(film, TAGS))
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
@@ -154,13 +154,15 @@ def test_the_code_that_finds_tags_is_part_of_the_key(monkeypatch: pytest.MonkeyP
 
 def test_a_damaged_entry_is_replaced(tmp_path: Path, film: VideoEntry, searches: list[Path]) -> None:
     folder = KeptFolder(tmp_path / "kept")
-    cache = DetectionCache((folder,), "1")
+    cache = DetectionCache(folder, "1")
     cache.detect(film, TAGS)
     (entry,) = folder.entries()
-    entry.path.write_bytes(entry.path.read_bytes()[:-1])
-    assert equal(cache.detect(film, TAGS))
-    assert equal(cache.detect(film, TAGS))
-    assert len(searches) == 2
+    whole = entry.read_bytes()
+    for damaged in (whole[:-1], whole[:200] + bytes(40) + whole[240:], b""):
+        entry.write_bytes(damaged)
+        assert equal(cache.detect(film, TAGS))
+        assert equal(cache.detect(film, TAGS))
+    assert len(searches) == 4
 
 
 def test_a_film_that_changes_while_it_is_searched_is_not_kept(
@@ -173,29 +175,22 @@ def test_a_film_that_changes_while_it_is_searched_is_not_kept(
         return detections()
 
     monkeypatch.setattr(detection_cache, "detect_tags", search)
-    assert equal(DetectionCache((folder,), "1").detect(film, TAGS))
+    assert equal(DetectionCache(folder, "1").detect(film, TAGS))
     assert folder.entries() == []
 
 
-def test_without_a_cache_the_folder_of_the_run_keeps_them(
+def test_without_a_cache_every_film_is_searched(
     tmp_path: Path, film: VideoEntry, searches: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cache = detection_cache.detection_cache("1", tmp_path / "work")
-    cache.detect(film, TAGS)
     users = users_folder()
     assert users is not None
-    assert len(users.entries()) == 1
-    assert not (tmp_path / "work").exists()
-    monkeypatch.setenv("ONEBEND_CACHE", "off")
-    alone = detection_cache.detection_cache("1", tmp_path / "work")
-    alone.detect(film, TAGS)
-    alone.detect(film, TAGS)
-    assert len(searches) == 2
+    for _ in range(2):
+        detection_cache.detection_cache("1").detect(film, TAGS)
+    assert (len(searches), len(users.entries())) == (1, 1)
     (tmp_path / "file").write_text("")
-    monkeypatch.setenv("ONEBEND_CACHE", str(tmp_path / "file"))  # cannot be a folder
-    detection_cache.detection_cache("1", tmp_path / "work").detect(film, TAGS)
-    assert len(searches) == 2
-    detection_cache.detection_cache("1").detect(film, TAGS)
+    for value in ("off", str(tmp_path / "file")):  # the file cannot be a folder
+        monkeypatch.setenv("ONEBEND_CACHE", value)
+        assert equal(detection_cache.detection_cache("1").detect(film, TAGS))
     assert len(searches) == 3
 
 

@@ -21,7 +21,6 @@ from onebend.errors import StudioError
 from onebend.records import Array
 from onebend.results.model import read_model, save_model
 from onebend.studio.bending import Bending, edge_lines
-from onebend.studio.desk import text_of
 from tests import made_up
 from tests.studio.conftest import PORT, own
 
@@ -308,8 +307,3 @@ def test_a_beam_that_was_learned_anew_is_opened_again(working: TestClient, folde
         assert heard(socket, "forgotten")["model"] == "beam"
         socket.send_json({"do": "open", "model": "beam"})
         assert heard(socket, "beam")["opened"]["model"] == "beam"
-
-
-def test_a_number_that_is_not_finite_is_null() -> None:
-    sent = text_of({"what": "answer", "answer": {"margin": float("nan"), "pose": [0.1, float("inf")]}})
-    assert json.loads(sent) == {"what": "answer", "answer": {"margin": None, "pose": [0.1, None]}}

@@ -26,7 +26,8 @@ from onebend.live.recording_folder import FilmWriter
 from onebend.options import expanded
 from onebend.studio.filming import MadeRecording, RecorderProcess, check_source, sources_data, wanted_recording
 from onebend.studio.places import StudioFolder
-from onebend.studio.recorder import WIDEST, Talk, check_data, settings_of, small_jpeg, state_data, work
+from onebend.studio.recorder import QUALITY, WIDEST, Talk, check_data, settings_of, state_data, work
+from onebend.studio.recordings import jpeg_in
 from tests.live.streamed import frames, log, toml
 from tests.recording.filmed import HEIGHT, WIDTH
 from tests.studio.conftest import own
@@ -67,7 +68,7 @@ def test_nothing_is_recorded_out_of_the_folder(places: StudioFolder, name: Any) 
 @pytest.mark.parametrize(
     "spec",
     [
-        "film:../secret", "film:/etc", "film:link", "log:link/force.csv", "csv:/var/log/syslog", "bag:../x.mcap",
+        "film:../secret", "film:/etc", "film:link", "log:link/force.csv", "csv:/var/log/syslog", "csv:../x.csv",
         "/etc/passwd", "/dev/video0/../mem", "/dev/mem", "v4l2:/dev/mem", "serial:/etc/passwd", "serial:/dev/../etc/x",
         "av:/etc/passwd", "av:file:/etc/passwd", "av:played/video.mp4", "av:concat:a|b", "av:movie=/etc/x,format=lavfi",
         "av:/etc/passwd,format=v4l2", "av:http:x", "av:list.txt,format=concat",
@@ -120,9 +121,9 @@ def test_no_table_of_the_beam_is_copied_from_outside(places: StudioFolder) -> No
 @pytest.mark.parametrize(
     "spec",
     [
-        "/dev/video12,size=640x480", "film:played,lost=0.1", "av:0,format=avfoundation", "av:video=A B,format=dshow",
+        "/dev/video12,size=640x480", "film:played", "av:0,format=avfoundation", "av:video=A B,format=dshow",
         "av:/dev/video0,format=v4l2", "av:rtsp://10.0.0.2/live", "serial:/dev/serial/by-id/usb-1,columns=fx_N",
-        "serial:COM3,columns=fx_N", "ati:192.168.1.1", "ur:robot", "lsl:F,columns=fx_N", "csv:played/force.csv", "",
+        "serial:COM3,columns=fx_N", "ati:192.168.1.1", "ur:robot", "csv:played/force.csv", "",
     ],
 )  # fmt: skip
 def test_cameras_and_sensors_are_taken(places: StudioFolder, spec: str) -> None:
@@ -178,7 +179,7 @@ def test_the_sources_are_the_recorders(places: StudioFolder) -> None:
     assert "log:REC" in [one["example"] for one in found["forces"]]
 
 
-def lines_of(memory: io.BytesIO) -> list[dict[str, Any]]:
+def lines_of(memory: io.StringIO) -> list[dict[str, Any]]:
     return [json.loads(line) for line in memory.getvalue().splitlines()]
 
 
@@ -187,7 +188,7 @@ def test_what_is_recorded_is_told_with_pictures_tags_and_advice(
 ) -> None:
     monkeypatch.chdir(places.root)
     monkeypatch.setattr("onebend.studio.recorder.OFTEN", 0.0)
-    memory = io.BytesIO()
+    memory = io.StringIO()
     wanted = wanted_recording(places, asked(fast=True, no_learning=True, out="told"))
     outcome = work(wanted, Talk(memory), threading.Event(), threading.Event())
     assert outcome.film is not None
@@ -213,10 +214,10 @@ def test_what_is_recorded_is_told_with_pictures_tags_and_advice(
 
 
 def test_the_last_state_is_told_and_a_studio_that_stands_still_holds_nothing_up() -> None:
-    free, memory = threading.Event(), io.BytesIO()
+    free, memory = threading.Event(), io.StringIO()
 
-    class Stuck(io.BytesIO):
-        def write(self, data: Any) -> int:
+    class Stuck(io.StringIO):
+        def write(self, data: str) -> int:
             free.wait(10.0)
             return memory.write(data)
 
@@ -230,7 +231,8 @@ def test_the_last_state_is_told_and_a_studio_that_stands_still_holds_nothing_up(
 
 
 def test_a_large_picture_is_made_small() -> None:
-    image = Image.open(io.BytesIO(small_jpeg(np.zeros((1000, 2500), np.uint8))))
+    written = jpeg_in(Image.new("L", (2500, 1000)), WIDEST, QUALITY)
+    image = Image.open(io.BytesIO(base64.b64decode(written)))
     assert image.width <= WIDEST
     assert image.width / image.height == pytest.approx(2.5, rel=0.01)
     assert state_data(CaptureState("exposure"))["size_px"] is None

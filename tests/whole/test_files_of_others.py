@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
 import shutil
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,13 @@ from onebend.cli import app
 from onebend.errors import RecordingError, ResultsError
 from onebend.files.kept import KeptFolder
 from onebend.files.publish import (
-    FORMAT,
+    MARKER,
     OWN_CHECKSUM,
     abandon,
+    finish,
     own_files,
     prepare,
+    publish,
     seal,
     sha256_of,
     with_checksum,
@@ -30,7 +33,7 @@ from onebend.files.publish import (
 from onebend.files.single_file import write_file
 from onebend.live.recording_folder import copy_description
 from tests.attack.conftest import EXAMPLE
-from tests.attack.killing import KIND, run, state_of
+from tests.attack.killing import KIND, run, state_of, write
 
 NAME = f"tags-{7:040x}"  # of an entry of the cache
 
@@ -132,68 +135,61 @@ def test_a_link_where_results_go_is_not_followed(tmp_path: Path, what: str) -> N
     assert tree(out) == mine
 
 
-@pytest.mark.parametrize("inside", ["replaced", "complete", "swapping.json", "whole"])
+def workplace_of(out: Path) -> Path:
+    """Where a run for `out` works."""
+    place = prepare(out, kind=KIND, overwrite=True)
+    abandon(place)
+    return place.work
+
+
+@pytest.mark.parametrize("inside", ["moving", "complete", "notes.txt", "workplace.json", "whole"])
 def test_a_planted_workplace_leads_nowhere(tmp_path: Path, inside: str) -> None:
     """One that claims to be ours, with links in it, or is a link itself."""
-    elsewhere, planted = tmp_path / "elsewhere", tmp_path / ".out.onebend-planted1"
+    elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
-    marker = {"format": FORMAT, "target": "out", "kind": KIND, "locked": True}
     (elsewhere / "precious.txt").write_text("precious")
     run(tmp_path / "out", "old")
+    planted = workplace_of(tmp_path / "out")
     if inside == "whole":
-        (elsewhere / "workplace.json").write_text(json.dumps(marker))
+        (elsewhere / MARKER).write_text(json.dumps({"kind": KIND}))
         planted.symlink_to(elsewhere)
     else:
         planted.mkdir()
-        (planted / "workplace.json").write_text(json.dumps(marker))
-        (planted / "swapping.json").write_text('{"new": [0, 0]}')
+        (planted / MARKER).write_text(json.dumps({"kind": KIND}))
         (planted / inside).unlink(missing_ok=True)
         (planted / inside).symlink_to(elsewhere)
     before = tree(elsewhere)
-    run(tmp_path / "out", "new")
-    assert state_of(tmp_path / "out") == "new"
+    with pytest.raises(ResultsError, match="is in the way of a run's own folder"):
+        run(tmp_path / "out", "new")
+    assert state_of(tmp_path / "out") == "old"
     assert tree(elsewhere) == before
 
 
 def test_the_cache_writes_through_no_link(tmp_path: Path) -> None:
     precious = tmp_path / "precious.txt"
     precious.write_text("precious")
-    precious.write_bytes(hashlib.sha256(b"kept").digest() + b"kept")
-    before = precious.read_bytes()
     folder = KeptFolder(tmp_path / "work", most=100)
     folder.path.mkdir()
     link = folder.path / f"{NAME}.kept"
     link.symlink_to(precious)
-    (folder.path / f".{NAME}.abc.kept").symlink_to(precious)
     assert folder.load(NAME) is None
     assert not folder.save(NAME, b"new")
-    folder.trim()
     assert folder.entries() == []
-    assert folder.clear() == []
     assert link.is_symlink()
-    assert precious.read_bytes() == before
+    assert precious.read_text() == "precious"
 
 
-@pytest.mark.parametrize("content", [b"", b"short", bytes(32) + b"forged"])
-def test_what_others_put_into_the_cache_is_not_read(tmp_path: Path, content: bytes) -> None:
-    folder = KeptFolder(tmp_path / "work")
-    folder.path.mkdir()
-    (folder.path / f"{NAME}.kept").write_bytes(content)
-    assert folder.load(NAME) is None
-    assert folder.save(NAME, b"whole")
-    assert folder.load(NAME) == b"whole"
-
-
-def test_clearing_the_cache_leaves_what_is_not_of_the_cache(tmp_path: Path) -> None:
-    folder = KeptFolder(tmp_path / "work")
+def test_a_full_cache_drops_only_what_is_of_the_cache(tmp_path: Path) -> None:
+    folder = KeptFolder(tmp_path / "work", most=10)
     assert folder.save(NAME, b"whole")
     theirs = [folder.path / name for name in ("notes.txt", "tags-short.kept", f"{NAME}.kept.bak")]
     for path in theirs:
-        path.write_text("theirs")
+        path.write_text("theirs, and large")
+        os.utime(path, (1e9, 1e9))
     (folder.path / f"{NAME[:-1]}0.kept").mkdir()
-    assert [entry.path.name for entry in folder.clear()] == [f"{NAME}.kept"]
-    assert all(path.read_text() == "theirs" for path in theirs)
-    assert folder.path.is_dir()
+    assert folder.save(f"{NAME[:-1]}1", b"as large")
+    assert [path.name for path in folder.entries()] == [f"{NAME[:-1]}1.kept"]
+    assert all(path.read_text() == "theirs, and large" for path in theirs)
 
 
 def test_a_single_file_replaces_plain_files_only(tmp_path: Path) -> None:
@@ -233,10 +229,9 @@ def test_a_target_of_any_name(tmp_path: Path, name: str) -> None:
     run(out, "old")
     (out / "notes.txt").write_text("mine")
     place = prepare(out, kind=KIND, overwrite=True)
-    (place.work / "kept.npz").write_bytes(b"found so far")
     with pytest.raises(ResultsError, match="is being written by process"):
         prepare(out, kind=KIND, overwrite=True)
-    assert abandon(place)
+    abandon(place)
     run(out, "new")
     assert state_of(out) == "new"
     assert (out / "notes.txt").read_text() == "mine"
@@ -246,44 +241,32 @@ def test_a_target_of_any_name(tmp_path: Path, name: str) -> None:
 def test_targets_with_the_same_beginning_do_not_hinder_each_other(tmp_path: Path) -> None:
     one, other = tmp_path / ("x" * 100 + "1"), tmp_path / ("x" * 100 + "2")
     first = prepare(one, kind=KIND, overwrite=True)
-    (first.work / "kept.npz").write_bytes(b"of the first")
     run(other, "new")
-    abandon(first)
+    publish(first, partial(write, mark="first"))
     run(other, "newer")
-    assert (first.work / "kept.npz").exists()
+    abandon(first)
+    assert (state_of(one), state_of(other)) == ("first", "newer")
 
 
-@pytest.mark.parametrize("kind", ["pipe", "huge", "folder", "nested", "text"])
-def test_a_marker_that_is_none_is_passed_over(tmp_path: Path, kind: str) -> None:
-    """It is in nobody's way, hangs nobody, and stays."""
-    planted = tmp_path / ".out.onebend-planted1"
+@pytest.mark.parametrize("kind", ["pipe", "huge", "nested", "text"])
+def test_a_marker_of_others_hangs_nobody(tmp_path: Path, kind: str) -> None:
+    planted = workplace_of(tmp_path / "out")
     planted.mkdir()
-    marker = planted / "workplace.json"
     if kind == "pipe":
-        os.mkfifo(marker)
-    elif kind == "folder":
-        marker.mkdir()
+        os.mkfifo(planted / MARKER)
     else:
-        marker.write_text({"huge": " " * 10_000_000, "nested": "[" * 9_000, "text": "thesis"}[kind])
-    run(tmp_path / "out", "new")
-    assert state_of(tmp_path / "out") == "new"
-    assert os.path.lexists(marker)
+        (planted / MARKER).write_text({"huge": " " * 10_000_000, "nested": "[" * 9_000, "text": "thesis"}[kind])
+    with suppress(ResultsError):
+        run(tmp_path / "out", "new")
+        assert state_of(tmp_path / "out") == "new"
 
 
-def test_what_a_marker_says_is_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    planted = tmp_path / ".out.onebend-planted1"
-    planted.mkdir()
-    said = {
-        "format": FORMAT,
-        "target": "out",
-        "kind": KIND,
-        "process": "\x1b[2J",
-        "host": "\x1b[31m",
-        "since": "x" * 900,
-    }
-    (planted / "workplace.json").write_text(json.dumps(said))
-    monkeypatch.setattr("onebend.files.publish._probe", lambda _: (_ for _ in ()).throw(BlockingIOError()))
+def test_what_a_marker_says_is_text(tmp_path: Path) -> None:
+    place = prepare(tmp_path / "out", kind=KIND, overwrite=True)
+    said = {"process": "\x1b[2J", "host": "\x1b[31m", "since": "x" * 900}
+    (place.work / MARKER).write_text(json.dumps(said))
     result = CliRunner().invoke(app, ["learn", "REC", "-o", str(tmp_path / "out")])
+    finish(place)
     assert result.exit_code == 2
     assert "is being written by process \\x1b[2J on \\x1b[31m" in result.stderr
 

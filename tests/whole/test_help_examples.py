@@ -13,6 +13,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from onebend.cli import COMPLETE, all_commands, app
+from tests.recording.bagged import log, write_mcap
 from tests.recording.board_film import CHESS
 from tests.recording.calibration.test_intrinsics import shown
 
@@ -22,7 +23,7 @@ ROOT = Path(__file__).parents[2]
 # Those that take seconds need the result of `make demo` itself, or make films; the others do with a designed beam.
 DEAR = (
     "learn", "validate", "plan", "damp", "loop", "check",
-    "rerun", "mould", "film", "calibrate", "reproduce", "rehearse", "batch",
+    "mould", "film", "calibrate", "rehearse", "batch",
     "population", "record", "drive",
 )  # fmt: skip
 ENDLESS = ("studio",)  # it serves until it is stopped; tests/studio/ starts it
@@ -48,10 +49,12 @@ def test_the_help_ends_with_an_example_that_can_be_copied(name: str) -> None:
 
 
 def workplace(folder: Path) -> None:
-    """A folder with the examples, as a copy of the repository is."""
+    """A folder with the examples, as a copy of the repository is, and a bag."""
     folder.mkdir(exist_ok=True)
     (folder / "examples").symlink_to(ROOT / "examples")
     (folder / "out").mkdir()
+    (folder / "my-beam").mkdir()
+    write_mcap(folder / "my-beam" / "push.mcap", log())
 
 
 @pytest.fixture(scope="module")

@@ -12,17 +12,13 @@ from benchmarks.shown import ROOT, SHOWN, checksum, older, put_in, sources
 
 
 def test_what_is_shown_is_worded_as_the_code_words_it_now() -> None:
-    quick = [name for name in older("words") if not SHOWN[name].long]
-    assert quick == [], "make it again: `python -m benchmarks.shown NAME` (docs/contributing.md)"
+    assert older("words") == [], "make it again: `python -m benchmarks.shown NAME` (docs/contributing.md)"
 
 
 def test_numbers_of_older_code_are_listed() -> None:
-    """What takes minutes to make again is only listed, too."""
-    names = older("numbers") + [name for name in older("words") if SHOWN[name].long]
-    if names:
+    if names := older("numbers"):
         pytest.skip(
-            f"what is shown comes from older code: {', '.join(dict.fromkeys(names))}; `python -m benchmarks.shown "
-            "NAME` renews them"
+            f"what is shown comes from older code: {', '.join(names)}; `python -m benchmarks.shown NAME` renews them"
         )
 
 

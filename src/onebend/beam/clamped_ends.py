@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from onebend.beam.continuation import to_the_left
 from onebend.beam.grid import apply, transposed
 from onebend.beam.problem import Problem
 from onebend.beam.statics import (
@@ -18,7 +17,6 @@ from onebend.beam.statics import (
     nodal_forces,
     node_angles,
     positive_definite,
-    potential,
     solve_batch,
     strain_by_force,
     tangent,
@@ -33,7 +31,6 @@ from onebend.records import Array, BoolArray, IntArray
 # `[T, -C^T; C, D]`, and the equilibrium is stable if `[T, C^T; C, -D]` has three negative eigenvalues.
 
 _TOLERANCE = 1e-11  # of the last update, as an angle
-_FLAT = 1e-3  # least curvature of the energy in a descent, over the bending stiffness
 
 
 def end_pose(problem: Problem, q: Array) -> Array:
@@ -147,49 +144,6 @@ def restore(problem: Problem, start: Array, goal: Array) -> tuple[Array, BoolArr
     return q, np.asarray(np.max(np.abs(goal - end_pose(problem, q)), axis=-1) < 1e-10 * np.max(problem.length))
 
 
-def let_down(problem: Problem, start: Array, goal: Array) -> tuple[Array, Array] | None:
-    """One frame without strain: descends the energy with the end fixed, by shortened Newton steps. Returns shape and
-    wrench, or None."""
-    q, there = restore(problem, start, goal)
-    if not there[0]:
-        return None
-    for _ in range(200):
-        step, wrench, rising = _way_down(problem, q)
-        turn = float(np.max(np.abs(node_angles(problem, step) - problem.alpha0)))
-        if turn < 1e-5 and rising:
-            shape, end_wrench, near = newton(problem, q, wrench, goal, trust=0.1)
-            return (shape, end_wrench) if near[0] and stands(problem, shape, end_wrench)[0] else None
-        step, energy = step * min(1.0, 0.3 / max(turn, 1e-300)), potential(problem, q)[0]
-        for _ in range(30):
-            lower, there = restore(problem, q + step, goal)
-            if there[0] and potential(problem, lower)[0] < energy:
-                break
-            step = 0.5 * step
-        else:
-            return None
-        q = lower
-    return None
-
-
-def _way_down(problem: Problem, q: Array) -> tuple[Array, Array, bool]:
-    """One frame: a step along the free directions, the balancing wrench, whether the energy is convex."""
-    scale = np.broadcast_to(problem.unbend, q.shape)[0]
-    c = end_jacobian(problem, q)[0] * scale
-    free = np.linalg.qr(c.T, mode="complete")[0][:, 3:]
-    slope = gradient(problem, q)[0] * scale
-    wrench = np.linalg.lstsq(c.T, slope, rcond=None)[0][None]
-    second = second_variation(problem, q, wrench)[0] * scale[:, None] * scale
-    values, vectors = np.linalg.eigh(free.T @ second @ free)
-    modes = free @ vectors * scale[:, None]  # (Q, Q - 3) curvature
-    amplitude = (free @ vectors).T @ slope
-    down = -amplitude / np.maximum(np.abs(values), _FLAT)
-    falling = values < 0.0
-    # At a perfect bifurcation: to the left.
-    left = to_the_left(problem, q, modes[None])[0]
-    down = np.where(falling & (np.abs(down) < 1e-4), 1e-4 * left, down)
-    return (modes @ down)[None], wrench, not np.any(falling)
-
-
 _LARGEST_TURN = 0.4  # rad, largest turn of a step
 _SHORTEST = 1e-5  # share of the way: shortest stable step before a snap
 
@@ -266,17 +220,12 @@ def hold_near(problem: Problem, start: Array, end: Array, *, fall: bool) -> tupl
 
 
 def _let_go(problem: Problem, start: Array, end: Array) -> tuple[Array, Array, BoolArray]:
-    """From shapes (T, Q) as stress-free to the true rest and loads, or down the energy; strains last."""
+    """From shapes (T, Q) as stress-free to the true rest and loads; strains last."""
     plain = rigid(problem)
     begin, there = restore(plain, start, end)
     q, w, share = release(plain, begin, end)
-    well = there & (share == 1.0)
-    for i in np.flatnonzero(there & ~well).tolist():
-        down = let_down(plain.take(np.array([i])), q[i : i + 1], end[i : i + 1])
-        if down is not None:
-            q[i], w[i], well[i] = down[0][0], down[1][0], True
     q, w, strained = let_strain(problem, q, w, end)
-    return q, w, np.asarray(well & strained)
+    return q, w, np.asarray(there & (share == 1.0) & strained)
 
 
 def balancing_wrench(problem: Problem, q: Array) -> Array:

@@ -89,20 +89,13 @@ COMMANDS = {
     "topics": Place(
         "onebend.cli.recordings:topics",
         "List the topics of a ROS bag, and say which to write in recording.toml.",
-        "out/path/bag",
-        "onebend path out/linear-beam --goals examples/bend/goals.csv -o out/path",
+        "my-beam/push.mcap",
         group="Measure",
     ),
     "check": Place(
         "onebend.cli.recordings:check",
         "Check a recording in seconds: read its files, search some frames for tags, draw the result.",
         "examples/linear-beam/train",
-        group="Measure",
-    ),
-    "cache": Place(
-        "onebend.cli.recordings:show_cache",
-        "List the films whose tags are cached, so that each is searched only once; --clear empties the cache.",
-        "",
         group="Measure",
     ),
     "calibrate": Place(
@@ -124,11 +117,6 @@ COMMANDS = {
         "onebend.cli.exporting:export_command",
         "Write the learned beam for a simulator, as a robot description, a table, or a Python file without onebend.",
         "out/linear-beam --to mujoco -o out/beam.xml",
-    ),
-    "rerun": Place(
-        "onebend.cli.exporting:rerun_command",
-        "Write a recording and the learned beam as a Rerun file: video, tags, beam, forces, residuals.",
-        "out/linear-beam examples/linear-beam/fast",
     ),
 }
 

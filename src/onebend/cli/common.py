@@ -198,22 +198,17 @@ def stderr_screen() -> Console:
 
 @contextmanager
 def workplace(out: Path, kind: str, overwrite: bool) -> Iterator[OutputFolder]:
-    """For results in `out`; an early end says what was kept."""
+    """For results in `out`; an early end says what is there."""
     place = prepare(out, kind=kind, overwrite=overwrite)
     try:
         yield place
     except BaseException as error:
-        kept = abandon(place)
+        abandon(place)
         if place.published:
             error.add_note(f"The results are in {out}, but for the pictures.")
-        if (whole := unplaced(place)) is not None:
+        elif (whole := unplaced(place)) is not None:
             error.add_note(f"The results themselves are in {whole}.")
-        if kept:
-            again = " with --force" if place.published else ""
-            error.add_note(
-                f"The work so far is kept in {place.work}; the next run for {out}{again} continues from there."
-            )
-        elif isinstance(error, KeyboardInterrupt) and not place.published:
+        elif isinstance(error, KeyboardInterrupt):
             error.add_note("Nothing was written.")
         raise
     finish(place)
@@ -247,10 +242,8 @@ def put_in_place(
     """
     made_from = made_from or made_from_files(inputs)
     again = place.published
-    left = publish(place, write, {**made_from, "pictures_failed": failed})
+    publish(place, write, {**made_from, "pictures_failed": failed})
     say_failed(failed)
-    if left is not None:
-        say_warning(f"files that appeared in {place.out} during the run are in {left}.", about="changed file")
     for path in () if again else made_from["provenance"]["changed_meanwhile"]:
         text = f"{path} was changed while it was read. Run again to learn from it as it is."
         say_warning(text, about="changed file")

@@ -36,7 +36,6 @@ from onebend.control.reach_set import ReachableSet, reachable
 from onebend.control.shape import Grip, Pusher, ShapeResult, ShapeSettings, shape as solve_shape
 from onebend.control.trajectory_files import FRAME
 from onebend.errors import ControlError
-from onebend.extras import installed
 from onebend.options import POSITIVE, option
 from onebend.report.wording import length_words, significant
 from onebend.results import control_files
@@ -162,8 +161,7 @@ def _sureness_of_shape(result: ShapeResult) -> str:
     return f"{length_words(2.0 * result.spread.rms)} (2 sd over the targets' places, from the band on k(s))"
 
 
-def show_path(console: Console, way: FollowedPath, sure: PathSpread | None, output: Path | None, *, bag: bool) -> None:
-    """`bag`: a ROS 2 bag was written too."""
+def show_path(console: Console, way: FollowedPath, sure: PathSpread | None, output: Path | None) -> None:
     table = common.facts_table()
     stretch = f", {way.stretch:.2f} times the goals'" if way.stretch > 1.0 + 1e-6 else ""
     table.add_row("samples", f"{len(way.time)} over {way.time[-1]:.3f} s{stretch}")
@@ -179,8 +177,7 @@ def show_path(console: Console, way: FollowedPath, sure: PathSpread | None, outp
     console.print(table)
     for warning in way.warnings:
         console.print(f"[yellow]![/] {escape(warning)}")
-    messages = "YAML and bag" if bag else "YAML; for a bag: pip install 'onebend[ros]'"
-    common.say_written(console, output, f"path.csv, ROS 2 messages ({messages}), path.png, summary.json")
+    common.say_written(console, output, "path.csv, ROS 2 messages (YAML), path.png, summary.json")
 
 
 def _path_sureness(sure: PathSpread | None) -> str:
@@ -332,14 +329,13 @@ def path(
         warn_beyond_learned(learned_from, way.forces)
         sure = None if stored.uncertain is None else path_spread(way, stored.uncertain)
         summary = control_files.path_summary(str(model), way, sure, written_by=BY)
-        bag = installed("rosbags")
         if output is not None:
             from onebend.report.control_figures import path_figure  # here: loads Matplotlib
 
-            tables = partial(control_files.write_path, way=way, frame=frame, bag=bag)
+            tables = partial(control_files.write_path, way=way, frame=frame)
             figures = {"path": lambda: path_figure(way)}
             common.save_results(output, overwrite, summary, tables, figures, [model_file(model), goals])
-    common.answer(as_json, summary, lambda console: show_path(console, way, sure, output, bag=bag), output)
+    common.answer(as_json, summary, lambda console: show_path(console, way, sure, output), output)
 
 
 def _alone(goals: Goals, pushes: tuple[Pusher, ...], grip: Grip | None) -> bool:

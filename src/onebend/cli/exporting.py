@@ -1,4 +1,4 @@
-"""Commands that write a learned beam, or a recording with it, for other software."""
+"""The command that writes a learned beam for other software."""
 
 from __future__ import annotations
 
@@ -7,21 +7,13 @@ from typing import Annotated
 
 import typer
 
-import onebend
 from onebend.cli import common
 from onebend.cli.models import read_trusted
 from onebend.errors import ExportError
 from onebend.export.export import KINDS, MOST_SAMPLES, TABLES, Kind, export, without
-from onebend.export.rerun_file import write_rerun
 from onebend.export.sample import RodSample, drawn, sample_of_model
 from onebend.files.publish import SUMMARY
-from onebend.files.single_file import check_name_free, fresh_file, write_file
-from onebend.options import Only
-from onebend.pipeline import compare
-from onebend.recording.folder import folder_of, read_recording
-from onebend.recording.observe import ObserveSettings
-from onebend.recording.video import read_frames
-from onebend.results.detection_cache import detection_cache
+from onebend.files.single_file import write_files
 from onebend.results.model import StoredModel, model_file
 from onebend.text_files import read_json
 
@@ -53,12 +45,6 @@ DampingTime = Annotated[
         help="Damping over stiffness; default: the one in MODEL (`onebend damp`), else 0.02.",
     ),
 ]
-Observing = Annotated[ObserveSettings, Only(("threads",))]
-RerunFile = Annotated[
-    Path | None,
-    typer.Option("--output", "-o", metavar="FILE", help="The file to write; default: the recording's name.rrd."),
-]
-Every = Annotated[int, typer.Option(min=1, metavar="N", help="Keep one picture of the video in N.")]
 
 
 def export_command(
@@ -81,10 +67,7 @@ def export_command(
         rod = sample_of_model(stored, mass=mass, damping_time=damping_time, sites=sites, told=told)
         draws = () if samples is None else drawn(rod, samples, seed=seed)
         files = _files(path, to, rod, draws, hinges)
-        for name in files:
-            check_name_free(name, overwrite=overwrite)
-        for name, content in files.items():
-            write_file(name, content, overwrite=overwrite)
+        write_files(files, overwrite=overwrite)
         first, *more = files
         common.say(f"Wrote {first}{f' and {len(more)} more' if more else ''}: {KINDS[to].says}.")
         for sentence in without(rod, to):
@@ -131,31 +114,3 @@ def _told(model: Path, stored: StoredModel) -> tuple[tuple[str, str], ...]:
         rows = (("verdict", "headline"), ("tests", "rests_on"), ("rests on", "given"), ("for use", "use"))
         told += [(name, str(verdict[key])) for name, key in rows if verdict.get(key)]
     return tuple(told)
-
-
-def rerun_command(
-    model: common.Model,
-    recording: common.Recording,
-    *,
-    output: RerunFile = None,
-    every: Every = 2,
-    observing: Observing,
-    overwrite: common.Overwrite = False,
-    quiet: common.Quiet = False,
-) -> None:
-    with common.clean_errors():
-        stored = read_trusted(model)
-        path = output or Path(f"{folder_of(recording).resolve().name}.rrd")
-        with fresh_file(path, overwrite=overwrite) as beside, common.progress_of(quiet) as progress:
-            [(found, seen)] = compare(
-                stored.beam,
-                [recording],
-                stiffness=stored.uncertain,
-                observing=observing,
-                detect=detection_cache(onebend.__version__).detect,
-                progress=progress,
-            )
-            video = read_recording(recording).video
-            frames = () if video is None else read_frames(video)
-            write_rerun(beside, stored.beam, found, seen, frames, uncertain=stored.uncertain, every=every)
-    common.say(f"Wrote {path}. Look at it with: rerun {path}")

@@ -118,7 +118,7 @@ def learn(
                 fitting=fit,
                 observing=observing,
                 validate_on=validate_on or (),
-                detect=detection_cache(onebend.__version__, place.work, frames.keep).detect,
+                detect=detection_cache(onebend.__version__, frames.keep).detect,
                 frames=frames,
                 progress=progress,
             )
@@ -183,7 +183,7 @@ def validate(
                 stiffness=stored.uncertain,
                 setup=setup,
                 observing=observing,
-                detect=detection_cache(onebend.__version__, None if place is None else place.work).detect,
+                detect=detection_cache(onebend.__version__).detect,
                 progress=progress,
             )
             summary = learned_files.validation_summary(str(model), pairs, written_by=BY)

@@ -13,7 +13,6 @@ import onebend
 from onebend.cli import BY, common
 from onebend.cli.models import SetUpOptions, read_trusted
 from onebend.cli.screens import show_damping, show_frequencies, show_sensed
-from onebend.errors import ResultsError
 from onebend.files.publish import amend
 from onebend.files.single_file import check_name_free, write_file
 from onebend.learning.sensing.sense import SenseSettings, sense as sense_force
@@ -29,13 +28,11 @@ from onebend.results.detection_cache import detection_cache
 from onebend.results.learned_files import damp_summary, frequencies_summary
 from onebend.results.model import StoredModel, model_file, model_text
 from onebend.results.provenance import inputs_of, recording_files
-from onebend.results.sensing import SENSE_FORMAT, sense_summary, write_sensed
+from onebend.results.sensing import SENSE_FORMAT, sense_summary, write_forces
 
 ModelFile = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the model with its damping here.")
 ]
-
-Bag = Annotated[bool, typer.Option("--bag", help="Write force.mcap too: the force and its covariance as a ROS 2 bag.")]
 
 
 Swinging = Annotated[
@@ -118,7 +115,6 @@ def sense(
     *,
     settings: SenseSettings,
     where: SetUpOptions,
-    bag: Bag = False,
     output: common.Output = None,
     observing: Observing,
     overwrite: common.Overwrite = False,
@@ -126,8 +122,6 @@ def sense(
     quiet: common.Quiet = False,
 ) -> None:
     with common.clean_errors():
-        if bag and output is None:
-            raise ResultsError("--bag writes force.mcap beside the other results. Name their folder: -o OUT")
         stored = read_trusted(model)
         with common.place_for(output, SENSE_FORMAT, overwrite) as work:
             with common.progress_of(quiet) as progress:
@@ -140,8 +134,8 @@ def sense(
 
                 pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
                 inputs = inputs_of([model_file(model), *recording_files([recording])])
-                common.put_results(work, summary, partial(write_sensed, found=found, bag=bag), pictures, inputs=inputs)
-    common.answer(as_json, summary, lambda console: show_sensed(console, found, output, bag=bag), output)
+                common.put_results(work, summary, partial(write_forces, found=found), pictures, inputs=inputs)
+    common.answer(as_json, summary, lambda console: show_sensed(console, found, output), output)
 
 
 def _observed(stored: StoredModel, recording: Path, observing: ObserveSettings, progress: Progress) -> Observations:

@@ -22,7 +22,6 @@ from rich.text import Text
 
 from onebend.cli import BY, common
 from onebend.errors import ObservationError, RecordingError
-from onebend.files.kept import VARIABLE, users_folder
 from onebend.files.single_file import check_name_free, check_replaceable, write_file
 from onebend.recording.bag_topics import FIELDS, BagContents, TopicRow, bag_contents
 from onebend.recording.calibration import NAMES, Board, BoardKind, Calibration, calibrate as calibrate_camera
@@ -96,7 +95,6 @@ Definitions = Annotated[
 
 PICTURE = "check.png"
 
-Clear = Annotated[bool, typer.Option("--clear", help="Empty the cache.")]
 VideoKind = Annotated[bool, typer.Option("--video", help="A film of the tags and a force log (the default).")]
 RosKind = Annotated[
     Path | None, typer.Option("--ros", metavar="BAG", help="A ROS bag with film and force; topics are filled in.")
@@ -256,25 +254,6 @@ def lines_to_write(found: BagContents) -> str:
     if not tables:
         return "It holds no images, and no topic whose force is known: name the topic and its field in [force]."
     return "\n\n".join(["For recording.toml:", *("\n".join(table) for table in tables)])
-
-
-def show_cache(*, clear: Clear = False, as_json: common.Json = False) -> None:
-    folder = users_folder()
-    with common.clean_errors():
-        kept = [] if folder is None else folder.clear() if clear else folder.entries()
-    size = sum(entry.size for entry in kept)
-    if as_json:
-        where = None if folder is None else str(folder.path)
-        common.print_json({"folder": where, "entries": len(kept), "bytes": size, "cleared": clear})
-    elif folder is None:
-        common.say(f"Nothing is kept: {VARIABLE} turns it off, or this system has no place for caches.")
-    else:
-        films = f"the tags of {len(kept)} {'film' if len(kept) == 1 else 'films'}, {size / 1e6:.3g} MB"
-        common.say(f"{'Dropped' if clear else 'Kept'}: {films}, in {folder.path}")
-        if not clear:
-            common.say(
-                f"At most {folder.most / 1e6:.0f} MB are kept; {VARIABLE} names another folder, or turns it off (off)."
-            )
 
 
 def show_calibration(console: Console, calibration: Calibration, out: Path) -> None:

@@ -82,29 +82,38 @@ def band_places(columns: int) -> Array:
     return np.linspace(0.0, 1.0, 11 if columns >= WIDE else 6)
 
 
-def band_table(uncertain: UncertainStiffness, *, columns: int, modulus: confidence.ModulusRows | None = None) -> Table:
+def band_of(known: UncertainStiffness | Beam, s: Array) -> Band:
+    """The band at `s`; of a beam alone k itself."""
+    if isinstance(known, UncertainStiffness):
+        return known.band(s)
+    k = np.asarray(known.stiffness(s))
+    return Band(s, k, k, k, np.ones(len(s), dtype=bool))
+
+
+def band_table(
+    known: UncertainStiffness | Beam, *, columns: int, modulus: confidence.ModulusRows | None = None
+) -> Table:
     """k, its band and Young's modulus at `band_places`, aligned with a plot."""
     s = band_places(columns)
-    count, band = len(s), uncertain.band(s)
+    count, band = len(s), band_of(known, s)
     table = Table(box=None, show_header=False, pad_edge=False, padding=0)
     table.add_column(width=9)
     for i in range(count):
         table.add_column(width=(columns - 1) // (count - 1) if i < count - 1 else None, no_wrap=True)
-    styles = ["" if known else "bright_black" for known in band.identified]
+    styles = ["" if there else "bright_black" for there in band.identified]
 
     def add(name: str, cells: Sequence[str]) -> None:
         table.add_row(Text(f"{name:>8}", "dim"), *(Text(*pair) for pair in zip(cells, styles, strict=True)))
 
     add("s", ["0 clamp", *(f"{value:.1f}" for value in s[1:-1]), "1 tip"])
-    rows: list[tuple[str, Sequence[str]]] = [
-        (name, [wording.significant(float(value)) for value in values])
-        for name, values in (("k [N m]", band.k), ("from", band.low), ("to", band.high))
-    ]
-    rows.insert(1, ("±", half_widths(band)))
+    k, low, high = ([wording.significant(float(value)) for value in one] for one in (band.k, band.low, band.high))
+    rows: list[tuple[str, Sequence[str]]] = [("k [N m]", k)]
+    if isinstance(known, UncertainStiffness):
+        rows += [("±", half_widths(band)), ("from", low), ("to", high)]
     if modulus is not None:
         rows += [(f"E [{modulus.unit}]", modulus.values), ("from", modulus.low), ("to", modulus.high)]
     for name, cells in rows:
-        add(name, [cell if known else f"({cell})" for cell, known in zip(cells, band.identified, strict=True)])
+        add(name, [cell if there else f"({cell})" for cell, there in zip(cells, band.identified, strict=True)])
     return table
 
 
@@ -144,71 +153,46 @@ def stages_table(seconds: Mapping[str, float], video_seconds: float) -> Table:
     return table
 
 
-BLOCKS = " ▁▂▃▄▅▆▇█"
 MOST = 4.0  # times k: a wider band may leave the plot
 CURVE, BAND = ("-", "━"), ("·", "░")  # not identified, identified
 
 
-def band_plot(uncertain: UncertainStiffness, *, columns: int = 61, rows: int = 12, log: bool = False) -> RenderableType:
-    """k(s) in its 95 % band, thin and grey where not identified."""
+def band_plot(
+    known: UncertainStiffness | Beam, *, columns: int = 61, rows: int = 12, log: bool = False
+) -> RenderableType:
+    """k(s) in its 95 % band (of a beam alone without one), thin and grey where not identified."""
     s = np.linspace(0.0, 1.0, columns)
-    band = uncertain.band(s)
-    edges = _edges(band, uncertain.best_known(s), rows, log=log)
+    band, sure = band_of(known, s), isinstance(known, UncertainStiffness)
+    shown = known.best_known(s) if isinstance(known, UncertainStiffness) else band.identified
+    edges = _edges(band, shown, rows, log=log)
     lines = []
     for row in range(rows - 1, -1, -1):
         low, high = edges[row], edges[row + 1]
         text = Text(_mark(row, rows, edges), "dim")
         for i in range(columns):
-            known = bool(band.identified[i])
+            there = bool(band.identified[i])
             inside = band.high[i] > low and band.low[i] < high
-            cell = CURVE[known] if low <= band.k[i] < high else BAND[known] if inside else " "
-            text.append(cell, "blue" if known else "bright_black")
+            cell = CURVE[there] if low <= band.k[i] < high else BAND[there] if inside else " "
+            text.append(cell, "blue" if there else "bright_black")
         lines.append(text)
     unknown = "" if band.identified.all() else "; - and (): not identified"
-    heading = Text(f"k(s) = EI / L [N m], with its 95 % band{unknown}", "italic")
-    return Group(heading, *lines, _axis(columns)[0])
+    heading = Text(f"k(s) = EI / L [N m]{', with its 95 % band' if sure else ''}{unknown}", "italic")
+    return Group(heading, *lines, Text(" " * 9 + "└" + "─" * columns, "dim"))
 
 
 def _edges(band: Band, shown: BoolArray, rows: int, *, log: bool) -> Array:
     """(rows + 1,) N m: edges of the plot's rows, lowest first."""
-    top = min(1.05 * float(np.max(band.high[shown])), MOST * float(np.max(band.k[shown])))
-    if log:
+    top = max(min(1.05 * float(np.max(band.high[shown])), MOST * float(np.max(band.k[shown]))), 0.0)
+    if log and float(np.min(band.k)) > 0.0:
         low = max(float(np.min(band.low[shown])) / 1.05, float(np.min(band.k[shown])) / MOST)
         return np.asarray(np.geomspace(low, top, rows + 1))
     return np.linspace(0.0, top, rows + 1)
-
-
-def stiffness_plot(beam: Beam, *, columns: int = 61, rows: int = 8) -> RenderableType:
-    """k(s) in block characters, with numbers below."""
-    k = beam.stiffness(np.linspace(0.0, 1.0, columns))
-    top = max(float(k.max()), 0.0)
-    edges = np.linspace(0.0, top, rows + 1)
-    level = np.zeros(columns) if top == 0.0 else np.clip(k / top, 0.0, 1.0) * rows * 8
-    lines = []
-    for row in range(rows - 1, -1, -1):
-        cells = np.clip(np.round(level - 8 * row), 0, 8).astype(int)
-        lines.append(Text(_mark(row, rows, edges), "dim") + Text("".join(BLOCKS[c] for c in cells), "blue"))
-    heading = Text("Bending stiffness k(s) = EI / L [N m]", "italic")
-    return Group(heading, *lines, *_axis(columns), _numbers(beam))
 
 
 def _mark(row: int, rows: int, edges: Array) -> str:
     if row not in (0, rows - 1):
         return " " * 9 + "│"
     return f"{wording.significant(float(edges[-1] if row else edges[0])):>8} ┤"
-
-
-def _axis(columns: int) -> tuple[Text, Text]:
-    ends = " " * 10 + "s = 0 (clamp)" + " " * (columns - 24) + "s = 1 (tip)"
-    return Text(" " * 9 + "└" + "─" * columns, "dim"), Text(ends, "dim")
-
-
-def _numbers(beam: Beam) -> Table:
-    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 1, 0, 0))
-    s = np.linspace(0.0, 1.0, 11)
-    table.add_row("[dim]s[/]", *(f"[dim]{place:.1f}[/]" for place in s))
-    table.add_row("k", *(wording.significant(k) for k in beam.stiffness(s)))
-    return table
 
 
 _AS_SAID = 5e-4  # of s: nearer is the stated place
@@ -277,7 +261,7 @@ def show_damping(console: Console, fit: SwingFit, out: Path | None) -> None:
         console.print(f"\nWrote {out}.", markup=False, soft_wrap=True)
 
 
-def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bool = False) -> None:
+def show_sensed(console: Console, found: Sensed, output: Path | None) -> None:
     table, peak = facts_table(), found.peak
     table.add_row("frames", f"{len(found.time)}, {int(np.sum(found.touched))} of them show a force")
     for one in found.contacts:
@@ -314,7 +298,7 @@ def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bo
         table.add_row(*row)
     console.print(table)
     console.print(remarks_list([(found.name, one) for one in worded(found.remarks)]))
-    say_written(console, output, f"force.csv, force.png, {'force.mcap, ' if bag else ''}regions.png, summary.json")
+    say_written(console, output, "force.csv, force.png, regions.png, summary.json")
 
 
 def sensor_rows(check: SensorCheck | None) -> list[tuple[str, str]]:
@@ -397,11 +381,10 @@ def _stiffness(console: Console, run: Run, *, log: bool) -> list[RenderableType]
     measured = confidence.measured_beam(run)
     words = confidence.modulus_words(measured)
     below: list[RenderableType] = [_sentences(words)] if words else []
-    if run.posterior is None:
-        return [stiffness_plot(run.beam, rows=rows), *below]
-    uncertain = run.posterior.stiffness
-    numbers = band_table(uncertain, columns=columns, modulus=confidence.modulus_rows(measured, band_places(columns)))
-    return [band_plot(uncertain, columns=columns, rows=rows, log=log), numbers, *below]
+    known = run.beam if run.posterior is None else run.posterior.stiffness
+    modulus = None if run.posterior is None else confidence.modulus_rows(measured, band_places(columns))
+    numbers = band_table(known, columns=columns, modulus=modulus)
+    return [band_plot(known, columns=columns, rows=rows, log=log), numbers, *below]
 
 
 def _everything(run: Run) -> list[RenderableType]:
@@ -480,13 +463,12 @@ def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observat
 def show_model(console: Console, stored: StoredModel, *, log: bool = False) -> None:
     beam, origin, uncertain = stored.beam, stored.origin, stored.uncertain
     measured = confidence.MeasuredBeam(beam, uncertain, stored.section)
-    if uncertain is None:
-        console.print(stiffness_plot(beam))
-    else:
-        console.print(band_plot(uncertain, log=log))
-        console.print(band_table(uncertain, columns=61, modulus=confidence.modulus_rows(measured, band_places(61))))
-        for text in confidence.unidentified_words(uncertain):
-            console.print(text, markup=False)
+    known = beam if uncertain is None else uncertain
+    modulus = None if uncertain is None else confidence.modulus_rows(measured, band_places(61))
+    console.print(band_plot(known, log=log))
+    console.print(band_table(known, columns=61, modulus=modulus))
+    for text in () if uncertain is None else confidence.unidentified_words(uncertain):
+        console.print(text, markup=False)
     for text in confidence.modulus_words(measured):
         console.print(text, markup=False)
     lowest = float(beam.stiffness(np.linspace(0.0, 1.0, 401)).min())

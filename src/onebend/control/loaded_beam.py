@@ -217,7 +217,6 @@ class NewtonResult:
     iterations: int
     converged: bool
     positive: bool = False  # of the tangent
-    curvature_per_load: Array | None = None  # (n, P) rad per unit load: Y
     compliance: Array | None = None  # (2 or 3, P): S
 
 
@@ -252,7 +251,7 @@ def solve_goal(
         if trust < math.inf and not float(np.abs(alpha - begin).max()) < trust:
             return NewtonResult(LoadedState(q, load), iteration, False)
         if largest < TOLERANCE or (iteration > 1 and largest**3 < _REMAINING * before**2 and largest < _FINAL_UPDATE):
-            return NewtonResult(LoadedState(q, load), iteration, True, positive, solved[:, 1:], moved[:, 1:])
+            return NewtonResult(LoadedState(q, load), iteration, True, positive, moved[:, 1:])
         before = min(largest, _LARGEST_TURN)
     return NewtonResult(LoadedState(q, load), most, False)
 

@@ -256,10 +256,6 @@ class ReachMap:
         size = np.linalg.norm(self.force, axis=1)
         return np.asarray(np.all(size[self.edges] >= _MAP_AT_BOUND * self.max_force, axis=1))
 
-    def outline(self) -> list[tuple[Array, Edge]]:
-        kinds: dict[Edge, BoolArray] = {"force": self.edge_is_force, "stability": ~self.edge_is_force}
-        return [(self.points[line], kind) for kind, chosen in kinds.items() for line in _chains(self.edges[chosen])]
-
     def locate(self, goal: Array, now: LoadedState | None = None) -> MapPlace:
         """Where the goal (2,) m lies; of several forces the one nearest to `now`."""
         a, inverse = self._corners
@@ -440,25 +436,6 @@ def _quads(known: BoolArray, apart: BoolArray | None, *, cyclic: bool) -> IntArr
     other = np.stack([here, here + 1, there + 1], axis=-1)[~whole & flat[here] & flat[here + 1] & flat[there + 1]]
     more = [] if apart is not None else [single, other[~np.isin(other[:, 0], single[:, 0])]]
     return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]], *more])
-
-
-def _chains(edges: IntArray) -> list[list[int]]:
-    after: dict[int, list[int]] = {}
-    for i, (begin, _) in enumerate(edges.tolist()):
-        after.setdefault(begin, []).append(i)
-    starts = set(edges[:, 0].tolist()) - set(edges[:, 1].tolist())
-    left = set(range(len(edges)))
-    lines = []
-    for at in [*(after[one][0] for one in sorted(starts)), *range(len(edges))]:
-        if at not in left:
-            continue
-        line, following = [int(edges[at, 0])], [at]
-        while following:
-            left.discard(following[0])
-            line.append(int(edges[following[0], 1]))
-            following = [i for i in after.get(line[-1], ()) if i in left]
-        lines.append(line)
-    return lines
 
 
 # A dragged point. A goal inside the map is solved by Newton's method from the present shape or the map; for a goal

@@ -1,4 +1,4 @@
-"""A path as columns, ROS 2 messages in YAML, and a ROS 2 bag.
+"""A path as columns and as ROS 2 messages in YAML.
 
 Forces and wrenches act on the beam, in its frame, at the actuator's place (also moments). Poses are of s = 1: x along
 the tangent, z out of the plane. Times count from the path's start.
@@ -9,23 +9,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any
 
 import numpy as np
 
 from onebend.control.path import FollowedPath
-from onebend.extras import require
 from onebend.records import Array
 from onebend.text_files import to_json
 
-if TYPE_CHECKING:  # optional package
-    from rosbags.typesys.store import Typestore
-
 FRAME = "beam_base"  # origin at the base tag, x along the undeformed beam, y to its left
 JOINT = "gripper"
-TRAJECTORY = "trajectory_msgs/msg/MultiDOFJointTrajectory"
-WRENCH = "geometry_msgs/msg/WrenchStamped"
-BAG_VERSION: Final = 9
 
 
 @dataclass(frozen=True)
@@ -98,51 +91,12 @@ def write_yaml(folder: Path, path: FollowedPath, *, frame: str = FRAME) -> list[
     return list(texts)
 
 
-def write_bag(folder: Path, path: FollowedPath, *, frame: str = FRAME) -> None:
-    """A ROS 2 bag (sqlite3) in a new `folder`: the trajectory at time 0, wrenches in time."""
-    require(("rosbags",), "ros")
-    from rosbags.rosbag2 import Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    with Writer(folder, version=BAG_VERSION) as bag:
-        if path.wrench is not None:
-            wire = bag.add_connection("/onebend/gripper/trajectory", TRAJECTORY, typestore=store)
-            message = typed(store, TRAJECTORY, trajectory_message(path, frame=frame))
-            bag.write(wire, 0, store.serialize_cdr(message, TRAJECTORY))
-        for track in wrench_tracks(path):
-            wire = bag.add_connection(track.topic, WRENCH, typestore=store)
-            for seconds, data in zip(path.time, wrench_messages(path, track, frame=frame), strict=True):
-                message = typed(store, WRENCH, data)
-                bag.write(wire, _nanoseconds(seconds), store.serialize_cdr(message, WRENCH))
-
-
-def typed(store: Typestore, name: str, data: dict[str, Any]) -> Any:
-    """Plain data as a message, recursively."""
-    from rosbags.interfaces import Nodetype
-
-    fields: dict[str, Any] = {}
-    definition: Any = store.fielddefs[name][1]
-    for field, (node, inner) in definition:
-        value = data[field]
-        if node == Nodetype.NAME:
-            value = typed(store, inner, value)
-        elif node == Nodetype.SEQUENCE and inner[0][0] == Nodetype.NAME:
-            value = [typed(store, inner[0][1], item) for item in value]
-        fields[field] = value
-    return store.types[name](**fields)
-
-
 def vector(x: float, y: float, z: float) -> dict[str, float]:
     return {"x": float(x), "y": float(y), "z": float(z)}
 
 
-def _nanoseconds(seconds: float) -> int:
-    return round(float(seconds) * 1e9)
-
-
 def _time(seconds: float) -> dict[str, int]:
-    whole, part = divmod(_nanoseconds(seconds), 1_000_000_000)
+    whole, part = divmod(round(float(seconds) * 1e9), 1_000_000_000)
     return {"sec": whole, "nanosec": part}
 
 

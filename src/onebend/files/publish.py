@@ -1,6 +1,7 @@
-"""A results folder that is complete, old or new, at every moment, and never loses files of others.
+"""A results folder: written whole beside its target, then moved in; files of others stay as they are.
 
-A run works in its own folder beside the target (`workplace`), and then swaps both in one step (`swap`).
+A run works in a folder of its own beside the target, `.OUT.onebend-XXXXXXXX`, locked while its process lives. Complete
+results move from there into the target file by file, the summary last. If that is interrupted, the next run ends it.
 """
 
 from __future__ import annotations
@@ -11,18 +12,22 @@ import os
 import shutil
 import socket
 import stat
-import sys
-import tempfile
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from onebend.errors import ResultsError
-from onebend.files.single_file import exchange, move_in, sync_file, sync_folder, sync_tree, umask
+from onebend.files.single_file import sync_file, write_file
 from onebend.text_files import to_json
+
+try:
+    import fcntl
+except ImportError:  # Windows: two runs do not see each other
+    fcntl = None  # type: ignore[assignment]
 
 # `summary.json` as a manifest: name and SHA-256 of each result file, and of the summary itself. Listed, unchanged files
 # are ours; all others belong to someone else and are never replaced or removed.
@@ -56,13 +61,12 @@ def _checksum(data: Mapping[str, Any]) -> str:
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
     """`seal` adds the files."""
-    (folder / SUMMARY).write_text(to_json(summary) + "\n", encoding="utf-8")
+    write_file(folder / SUMMARY, to_json(summary) + "\n", overwrite=True)
 
 
 def seal(folder: Path, more: Mapping[str, Any]) -> None:
     """Adds `more` and the manifest of all files to the summary; done last."""
-    path = folder / SUMMARY
-    data = json.loads(path.read_text(encoding="utf-8"))
+    data = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
     files = {name: sha256_of(folder / name) for name in files_in(folder) if name != SUMMARY}
     data = json.loads(to_json({**data, **more, "files": {**files, SUMMARY: None}}))
     write_summary(folder, with_checksum(data))
@@ -71,10 +75,7 @@ def seal(folder: Path, more: Mapping[str, Any]) -> None:
 def read_summary(folder: Path) -> dict[str, Any] | None:
     """The summary; None if absent or changed."""
     data = read_object(folder / SUMMARY, LARGEST)
-    try:
-        return data if data is not None and is_unchanged(data) and isinstance(data.get("files"), dict) else None
-    except (ValueError, TypeError, RecursionError):
-        return None
+    return data if data is not None and is_unchanged(data) and isinstance(data.get("files"), dict) else None
 
 
 def read_object(file: Path, most: int) -> dict[str, Any] | None:
@@ -104,7 +105,7 @@ def changed_files(folder: Path) -> list[str]:
 
 def is_listed_otherwise(file: Path) -> bool:
     """Whether a summary beside `file` lists another content."""
-    return _differs(file) and _differs(file)  # once could be a folder being replaced
+    return _differs(file) and _differs(file)  # once could be while results move in
 
 
 def _differs(file: Path) -> bool:
@@ -114,29 +115,9 @@ def _differs(file: Path) -> bool:
 
 
 def files_in(folder: Path) -> list[str]:
-    """All files below `folder`, relative, sorted, without links."""
-    found, _ = entries_in(folder)
-    return sorted(name for name in found if not (folder / name).is_symlink())
-
-
-def entries_in(folder: Path) -> tuple[set[str], set[str]]:
-    """All entries that are not folders (also links), and all folders, relative. Links are not followed."""
-    others: set[str] = set()
-    folders: set[str] = set()
-    waiting = [folder]
-    while waiting:
-        for path in waiting.pop().iterdir():
-            name = path.relative_to(folder).as_posix()
-            if path.is_dir() and not path.is_symlink():
-                folders.add(name)
-                waiting.append(path)
-            else:
-                others.add(name)
-    return others, folders
-
-
-def parents_of(names: set[str]) -> set[str]:
-    return {parent.as_posix() for name in names for parent in PurePosixPath(name).parents} - {"."}
+    """All files below `folder`, relative, sorted; links are neither listed nor followed."""
+    found = (path for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
+    return sorted(path.relative_to(folder).as_posix() for path in found)
 
 
 def _is_ours(folder: Path, name: str, checksum: object) -> bool:
@@ -162,16 +143,8 @@ def check_place(out: Path) -> None:
     """Raises `ResultsError` where results can never go to `out`."""
     if (out / "recording.toml").exists():
         raise ResultsError(f"{out}: this is a recording. Results do not go among its files; choose another -o")
-    try:
-        mode = out.stat().st_mode  # once: another process may make the folder at any moment
-    except OSError:  # absent, or cannot be made (reported later)
-        return
-    if not stat.S_ISDIR(mode):
+    if out.exists() and not out.is_dir():
         raise ResultsError(f"{out}: this is a file, not a folder. Choose another -o")
-    if out.is_mount():
-        raise ResultsError(f"{out}: this is where a disk is mounted. Name a folder in it as -o")
-    if _stands_in(out):
-        raise ResultsError(f"{out}: you stand in this folder, and it is replaced as a whole. Choose another -o")
 
 
 def check_free(out: Path, kind: str, *, overwrite: bool) -> None:
@@ -194,337 +167,44 @@ def check_free(out: Path, kind: str, *, overwrite: bool) -> None:
             f"{out}: its files did not come from an earlier run of this command, or {SUMMARY} was changed since, so "
             "they are not replaced. Choose another -o"
         )
-    _check_reach(out)
 
 
-def _check_reach(out: Path) -> None:
-    """Raises `ResultsError` where something in `out` could not be carried over."""
-    try:
-        _, folders = entries_in(out)
-        mounted = [name for name in sorted(folders) if _device(out / name) != _device(out)]
-    except OSError as error:
-        raise ResultsError(
-            f"{error.filename}: cannot be looked into ({error.strerror}), so the results around it are not replaced. "
-            "Choose another -o"
-        ) from error
-    if mounted:
-        raise ResultsError(f"{out / mounted[0]}: here a disk is mounted, so {out} is not replaced. Choose another -o")
+def _check_names(complete: Path, out: Path) -> None:
+    """Raises `ResultsError` where something of others has the name of a result."""
+    ours = own_files(out)
+    for name in files_in(complete):
+        above = [out / part for part in PurePosixPath(name).parents][:-1]
+        taken = any(one.is_symlink() or (one.exists() and not one.is_dir()) for one in above)
+        if taken or (name not in ours and os.path.lexists(out / name)):
+            raise ResultsError(
+                f"{out / name}: did not come from an earlier run, so it is not replaced. Choose another -o"
+            )
 
 
-def _device(folder: Path) -> int:
-    return folder.lstat().st_dev
-
-
-def _stands_in(out: Path) -> bool:
-    """Whether the process works in `out`; its shell would stand in a removed folder."""
-    try:
-        return Path.cwd().is_relative_to(out)
-    except OSError:
-        return False
-
-
-# A working folder beside the target, which locks the target. Each run makes `.OUT.onebend-XXXXXXXX` with a marker
-# naming its target, and locks that marker until the process ends. A locked workplace of another run says who is
-# writing; an unlocked one was left behind, and is continued.
-
-if sys.platform == "win32":
-    import msvcrt
-
-    def _lock(number: int) -> None:
-        os.lseek(number, 2**30, os.SEEK_SET)
-        msvcrt.locking(number, msvcrt.LK_NBLCK, 1)
-
-    _probe = _lock
-else:
-    import fcntl
-
-    def _lock(number: int) -> None:
-        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-    def _probe(number: int) -> None:
-        fcntl.flock(number, fcntl.LOCK_SH | fcntl.LOCK_NB)  # works on a read-only folder
-
-
-MARKER = "workplace.json"
-FORMAT = "onebend-workplace-1"
-LONGEST = 40  # characters of the target's name
-LARGEST_MARKER = 10_000  # bytes
-
-
-@dataclass
-class Workplace:
-    """A run's own folder, and its lock."""
-
-    folder: Path
-    number: int  # of the locked marker; -1: released
-
-    def release(self) -> None:
-        """The folder stays."""
-        if self.number >= 0:
-            os.close(self.number)
-            self.number = -1
-
-    def remove(self) -> None:
-        """Deletes the folder, its marker last, and releases the lock."""
-        for path in self.folder.iterdir():
-            if path.is_dir() and not path.is_symlink():
-                shutil.rmtree(path, ignore_errors=True)
-            elif path.name != MARKER:
-                path.unlink(missing_ok=True)
-        with _one_at_a_time(self.folder.parent):  # nobody continues a folder that is being removed
-            shutil.rmtree(self.folder, ignore_errors=True)
-            self.release()
-
-    @property
-    def is_empty(self) -> bool:
-        """Except for the marker."""
-        return all(path.name.startswith(MARKER) for path in self.folder.iterdir())
-
-
-def enter(target: Path, kind: str) -> Workplace:
-    """A locked workplace for `target`, left behind by a run of this kind or new.
-
-    Raises `ResultsError`: another process writes to the target. Raises `OSError`: the folder cannot be made.
-    """
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with _one_at_a_time(target.parent):
-        _drop_unmarked(target)
-        left = None
-        for folder, marker in left_behind(target):
-            _refuse_if_locked(folder, marker, target)
-            if left is None and marker.get("kind") == kind and marker.get("locked") and is_private(folder):
-                left = folder
-        if left is None:
-            left = Path(tempfile.mkdtemp(prefix=_prefix(target), dir=target.parent))
-            left.chmod(0o777 & ~umask())
-        return _locked(left, target, kind)
-
-
-def left_behind(target: Path) -> list[tuple[Path, dict[str, Any]]]:
-    """Workplaces for `target`, with their markers."""
-    found = []
-    for folder in sorted(target.parent.glob(f"{_literal(_prefix(target))}*")):
-        marker = _marker(folder)
-        if marker is not None and marker.get("target") == target.name:
-            found.append((folder, marker))
-    return found
-
-
-def _drop_unmarked(target: Path) -> None:
-    """Deletes workplaces of runs that ended before they had a marker."""
-    for folder in target.parent.glob(f"{_literal(_prefix(target))}*"):
-        if not folder.is_symlink() and not (folder / MARKER).exists():
-            with suppress(OSError):
-                for begun in folder.glob(f"{MARKER}.*"):
-                    begun.unlink()
-                folder.rmdir()  # only if empty
-
-
-def _prefix(target: Path) -> str:
-    return f".{target.name[:LONGEST]}.onebend-"
-
-
-def _literal(text: str) -> str:
-    """As a glob pattern."""
-    return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in text)
-
-
-def _marker(folder: Path) -> dict[str, Any] | None:
-    """Its content, or None."""
-    data = None if folder.is_symlink() else read_object(folder / MARKER, LARGEST_MARKER)
-    return data if data is not None and data.get("format") == FORMAT else None
-
-
-def _refuse_if_locked(folder: Path, marker: dict[str, Any], target: Path) -> None:
-    """Raises `ResultsError` if another process holds the lock."""
-    try:
-        number = os.open(folder / MARKER, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0))
-    except OSError:  # gone
-        return
-    try:
-        _probe(number)
-    except (BlockingIOError, PermissionError) as error:
-        who = f"process {marker.get('process')} on {marker.get('host')}"
-        raise ResultsError(
-            f"{target}: is being written by {who} since {marker.get('since')}. Wait for it, or choose another -o"
-        ) from error
-    except OSError:  # no locks on this file system
-        return
-    finally:
-        os.close(number)
-
-
-def is_private(folder: Path) -> bool:
-    """Whether only the user can write to the folder, and it contains no links elsewhere."""
-    if any(path.is_symlink() for path in folder.iterdir()):
-        return False
-    if sys.platform == "win32":
-        return True
-    found = folder.lstat()
-    return found.st_uid == os.getuid() and not found.st_mode & stat.S_IWOTH
-
-
-def _locked(folder: Path, target: Path, kind: str) -> Workplace:
-    """The folder with a marker of this process, locked, in place of an earlier one."""
-    number, name = tempfile.mkstemp(prefix=f"{MARKER}.", dir=folder)
-    try:
-        locked = True
-        try:
-            _lock(number)
-        except OSError:  # no locks: nothing is continued
-            locked = False
-        data = {
-            "format": FORMAT,
-            "target": target.name,
-            "kind": kind,
-            "locked": locked,
-            "process": os.getpid(),
-            "host": socket.gethostname(),
-            "since": datetime.now(UTC).astimezone().isoformat(timespec="seconds"),
-        }
-        os.write(number, (json.dumps(data, indent=2) + "\n").encode())
-        Path(name).chmod(0o666 & ~umask())
-        Path(name).replace(folder / MARKER)
-    except BaseException:
-        os.close(number)
-        raise
-    return Workplace(folder, number)
-
-
-@contextmanager
-def _one_at_a_time(parent: Path) -> Iterator[None]:
-    """Serialises the search for workplaces (where folders can be locked)."""
-    if sys.platform == "win32":
-        yield
-        return
-    number = os.open(parent, os.O_RDONLY)
-    try:
-        with suppress(OSError):
-            fcntl.flock(number, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(number)
-
-
-# The swap: new results take the target's name in one step, with all files that are not ours, which are linked into the
-# new folder before. Without such a system call the old folder moves away and the new one in; after a crash in between,
-# the next run restores the old one.
-
-COMPLETE = "complete"  # in a workplace: complete new results; after a swap the old ones
-REPLACED = "replaced"
-SWAPPING = "swapping.json"  # names the new folder during a swap
-
-
-def swap_in(complete: Path, out: Path, work: Path) -> Path | None:
-    """Gives the new folder the target's name, with the other files of the target. Returns a folder with files of others
-    that could not be moved, or None."""
-    replaced = work / REPLACED
+def _move_in(complete: Path, out: Path) -> None:
+    """Replaces what is ours in `out` by the complete results. Goes on from where an earlier call ended."""
+    _check_names(complete, out)
     if not os.path.lexists(out):
         complete.rename(out)
-        sync_folder(out.parent)
-        return None
-    _carry_over(out, complete)
-    sync_folder(complete)
-    (work / SWAPPING).write_text(json.dumps({"new": _identity(complete)}), encoding="utf-8")
-    sync_file(work / SWAPPING)
-    sync_folder(work)
-    if exchange(complete, out):
-        complete.rename(replaced)
-    else:
-        out.rename(replaced)
-        try:
-            complete.rename(out)
-        except OSError:
-            replaced.rename(out)
-            raise
-    sync_folder(out.parent)
-    (work / SWAPPING).unlink()
-    return _clear(replaced, out)
-
-
-def recover(target: Path) -> None:
-    """Completes or reverts an interrupted swap."""
-    for work, _ in left_behind(target):
-        swapping, complete, replaced = work / SWAPPING, work / COMPLETE, work / REPLACED
-        if not is_private(work):
-            continue
-        if swapping.exists():
-            with suppress(OSError, ValueError, KeyError, TypeError):
-                new = json.loads(swapping.read_text(encoding="utf-8"))["new"]
-                if complete.is_dir() and _identity(complete) != new:
-                    complete.rename(replaced)
-            if replaced.is_dir() and not os.path.lexists(target):
-                replaced.rename(target)
-            swapping.unlink()
-        if replaced.is_dir() and target.is_dir():
-            _clear(replaced, target)
-
-
-def _identity(folder: Path) -> list[int]:
-    found = folder.lstat()
-    return [found.st_dev, found.st_ino]
-
-
-def _carry_over(old: Path, new: Path) -> None:
-    """Links all in `old` that is not ours into `new`; the rest is moved after the swap. Raises `ResultsError` on a name
-    conflict."""
-    ours = own_files(old)
-    others, folders = entries_in(old)
-    others -= ours
-    theirs = (folders - parents_of(ours)) | (folders & parents_of(others))
-    fresh = set(files_in(new))
-    taken = sorted((fresh & (others | theirs)) | (parents_of(fresh) & others))
-    if taken:
-        raise ResultsError(
-            f"{old / taken[0]}: did not come from an earlier run, so it is not replaced. Choose another -o"
-        )
-    for name in sorted(theirs):
-        (new / name).mkdir(exist_ok=True)
-    for name in sorted(others):
-        with suppress(OSError, NotImplementedError):
-            os.link(old / name, new / name, follow_symlinks=False)
-    for name in sorted(theirs, reverse=True):
-        shutil.copystat(old / name, new / name)
-    new.chmod(old.stat().st_mode & 0o7777)
-
-
-def _clear(old: Path, new: Path) -> Path | None:
-    """Deletes our files in `old` and moves the rest to `new`. Returns `old` if files of others remain, else None."""
-    ours = own_files(old)
-    others, folders = entries_in(old)
-    made = parents_of(ours)
-    for name in folders:
-        with suppress(OSError):  # a write-protected folder could not be emptied
-            (old / name).chmod(0o700)
-    for name in sorted(others - ours):
-        with suppress(OSError):
-            _hand_over(old / name, new / name, new)
-    for name in sorted(ours - {SUMMARY}):
-        (old / name).unlink(missing_ok=True)
-    for name in sorted(folders, reverse=True):
-        with suppress(OSError):
-            if name not in made and not os.path.lexists(new / name):
-                (new / name).mkdir(parents=True)
-            (old / name).rmdir()
-    if SUMMARY in ours:  # last: it lists ours
-        (old / SUMMARY).unlink()
-    with suppress(OSError):
-        old.rmdir()
-    return old if old.exists() else None
-
-
-def _hand_over(before: Path, after: Path, new: Path) -> None:
-    """Ensures that a file of others is in `new` as `after`, and drops its name `before`, unless the name is taken."""
-    if not after.parent.resolve().is_relative_to(new):
         return
-    if not os.path.lexists(after):
-        after.parent.mkdir(parents=True, exist_ok=True)
-        move_in(before, after)
-    elif _identity(after) == _identity(before):
-        before.unlink()
+    summary = read_summary(complete)
+    for name in own_files(out) - set(summary["files"]) if summary else ():
+        (out / name).unlink()
+        with suppress(OSError):  # only folders that are empty now
+            for part in PurePosixPath(name).parents:
+                (out / part).rmdir()
+    for name in sorted(files_in(complete), key=lambda one: one == SUMMARY):
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        (complete / name).replace(out / name)
+    shutil.rmtree(complete)
 
 
-UNFINISHED = "unfinished"  # in the workplace
+# A working folder beside the target, which locks the target. A locked one says who is writing.
+
+MARKER = "workplace.json"
+LONGEST = 40  # characters of the target's name
+LARGEST_MARKER = 10_000  # bytes
+UNFINISHED, COMPLETE, MOVING = "unfinished", "complete", "moving"  # results in a workplace
 
 
 @dataclass
@@ -533,14 +213,67 @@ class OutputFolder:
 
     out: Path
     kind: str  # the summary's `format`: results replace only their own kind
-    overwrite: bool
-    workplace: Workplace
+    work: Path
+    lock: int  # number of the open marker
+    overwrite: bool = False
     published: bool = False
 
-    @property
-    def work(self) -> Path:
-        """Kept on interruption; the next run continues."""
-        return self.workplace.folder
+
+def enter(target: Path, kind: str) -> OutputFolder:
+    """A locked workplace for `target`. What an interrupted run has begun to move in is moved in.
+
+    Raises `ResultsError`: another process writes to the target, or the workplace is not ours. Raises `OSError`: the
+    folder cannot be made.
+    """
+    named = hashlib.sha256(os.fsencode(target.name)).hexdigest()[:8]
+    work = target.parent / f".{target.name[:LONGEST]}.onebend-{named}"
+    number = _locked(work, target)
+    try:
+        if (work / MOVING).is_dir():
+            _move_in(work / MOVING, target)
+        since = datetime.now().astimezone().isoformat(timespec="seconds")
+        who = {"process": os.getpid(), "host": socket.gethostname(), "since": since}
+        os.ftruncate(number, 0)
+        os.write(number, json.dumps(who).encode())
+    except BaseException:
+        os.close(number)
+        raise
+    return OutputFolder(target, kind, work, number)
+
+
+def _locked(work: Path, target: Path) -> int:
+    """The number of the marker, locked until it is closed or the process ends."""
+    while True:
+        work.mkdir(parents=True, exist_ok=True)
+        try:
+            _check_private(work)
+            number = os.open(work / MARKER, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        except FileNotFoundError:  # the run before removes it in this moment
+            continue
+        try:
+            if fcntl is not None:
+                fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(number)
+            said = read_object(work / MARKER, LARGEST_MARKER) or {}
+            who = "process {process} on {host} since {since}".format_map(defaultdict(lambda: "?", said))
+            raise ResultsError(f"{target}: is being written by {who}. Wait for it, or choose another -o") from None
+        except OSError:  # no locks on this file system
+            return number
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(number), (work / MARKER).lstat()):
+                return number
+        os.close(number)
+
+
+def _check_private(work: Path) -> None:
+    """Raises `ResultsError` for a folder that is a link, holds links or no marker, or that others own or write to."""
+    found = work.lstat()
+    inside = list(work.iterdir()) if stat.S_ISDIR(found.st_mode) else [work]
+    others = os.name == "posix" and (found.st_uid != os.getuid() or found.st_mode & stat.S_IWOTH)
+    unmarked = bool(inside) and MARKER not in (path.name for path in inside)
+    if others or unmarked or any(path.is_symlink() for path in inside):
+        raise ResultsError(f"{work}: is in the way of a run's own folder, and not of onebend. Move it away")
 
 
 def prepare(out: Path, *, kind: str, overwrite: bool) -> OutputFolder:
@@ -551,12 +284,11 @@ def prepare(out: Path, *, kind: str, overwrite: bool) -> OutputFolder:
     target = Path(os.path.realpath(out))
     check_place(target)
     try:
-        workplace = enter(target, kind)
+        place = enter(target, kind)
     except OSError as error:
         raise ResultsError(f"{out}: cannot be made ({error.strerror}). Choose another -o") from error
-    place = OutputFolder(target, kind, overwrite, workplace)
+    place.overwrite = overwrite
     try:
-        recover(target)
         check_free(target, kind, overwrite=overwrite)
     except BaseException:
         abandon(place)
@@ -564,14 +296,11 @@ def prepare(out: Path, *, kind: str, overwrite: bool) -> OutputFolder:
     return place
 
 
-def publish(
-    place: OutputFolder, write: Callable[[Path], None], made_from: Mapping[str, Any] | None = None
-) -> Path | None:
-    """Lets `write` fill a new folder, seals its summary (with `made_from`), and puts it in place; may be called again
+def publish(place: OutputFolder, write: Callable[[Path], None], made_from: Mapping[str, Any] | None = None) -> None:
+    """Lets `write` fill a new folder, seals its summary (with `made_from`), and moves it in place; may be called again
     with later results.
 
-    Returns a folder with files of others that took names of results meanwhile, or None. Raises `ResultsError`: writing
-    or moving failed; the target is unchanged.
+    Raises `ResultsError`: writing or moving failed, or what is in the target is not ours.
     """
     unfinished, complete = place.work / UNFINISHED, place.work / COMPLETE
     try:
@@ -581,17 +310,19 @@ def publish(
         write(unfinished)
         if (unfinished / SUMMARY).exists():
             seal(unfinished, made_from or {})
-        sync_tree(unfinished)
+        for name in files_in(unfinished):
+            sync_file(unfinished / name)
         unfinished.rename(complete)
         check_free(place.out, place.kind, overwrite=place.overwrite or place.published)
-        left = swap_in(complete, place.out, place.work)
+        _check_names(complete, place.out)
+        complete.rename(place.work / MOVING)
+        _move_in(place.work / MOVING, place.out)
     except OSError as error:
         raise ResultsError(
             f"{error.filename or place.out}: cannot write the results ({error.strerror}). "
             "Make room, or choose another -o, and run again"
         ) from error
     place.published = True
-    return left
 
 
 def unplaced(place: OutputFolder) -> Path | None:
@@ -601,49 +332,38 @@ def unplaced(place: OutputFolder) -> Path | None:
 
 
 def finish(place: OutputFolder) -> None:
-    """Removes the workplace."""
-    if (place.work / REPLACED).exists():  # contains files of others
-        place.workplace.release()
+    """Removes the workplace, its marker last, and releases the lock."""
+    for path in place.work.iterdir():
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        elif path.name != MARKER:
+            path.unlink(missing_ok=True)
+    (place.work / MARKER).unlink(missing_ok=True)
+    with suppress(OSError):  # the next run is in it
+        place.work.rmdir()
+    os.close(place.lock)
+
+
+def abandon(place: OutputFolder) -> None:
+    """After an early end: keeps results that are complete, if they are not in place."""
+    if unplaced(place) is None and not (place.work / MOVING).is_dir():
+        finish(place)
     else:
-        place.workplace.remove()
-
-
-def abandon(place: OutputFolder) -> bool:
-    """After an early end: keeps finished parts in the workplace; whether there are any."""
-    with suppress(OSError):
-        recover(place.out)
-    for half in (UNFINISHED, "*.tmp"):
-        for path in place.work.glob(half):
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
-    if place.published:
-        shutil.rmtree(place.work / COMPLETE, ignore_errors=True)
-    if not place.workplace.is_empty:
-        place.workplace.release()
-        return True
-    place.workplace.remove()
-    return False
+        os.close(place.lock)
 
 
 def amend(file: Path, data: bytes) -> bool:
     """Replaces a file of a results folder and its entry in the summary. Returns False if no summary lists the file as
     it is."""
-    folder = file.parent
+    folder = Path(os.path.realpath(file.parent))
     summary = read_summary(folder)
     if summary is None or file.name not in own_files(folder):
         return False
-
-    def write(fresh: Path) -> None:
-        for name in own_files(folder) - {SUMMARY, file.name}:
-            (fresh / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(folder / name, fresh / name)
-        (fresh / file.name).write_bytes(data)
-        write_summary(fresh, summary)
-
-    place = prepare(folder, kind=str(summary["format"]), overwrite=True)
+    place = enter(folder, str(summary["format"]))
     try:
-        publish(place, write)
+        write_file(folder / file.name, data, overwrite=True)
+        files = {**summary["files"], file.name: hashlib.sha256(data).hexdigest()}
+        write_summary(folder, with_checksum({**summary, "files": files}))
+    finally:
         finish(place)
-    except BaseException:
-        abandon(place)
-        raise
     return True

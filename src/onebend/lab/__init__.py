@@ -39,12 +39,6 @@ COMMANDS = {
         "linear --push free --sensor wrist -o out/released",
         group="Lab",
     ),
-    "reproduce": Place(
-        "onebend.lab.rehearsal_commands:reproduce",
-        "Repeat the paper's experiments: films of three beams, tables, figures and tasks in one report.",
-        "-o out/paper --quick --without-video",
-        group="Lab",
-    ),
     "rehearse": Place(
         "onebend.lab.rehearsal_commands:rehearse",
         "Predict how well a push would determine k(s), before filming it, and rank improvements.",

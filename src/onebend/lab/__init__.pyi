@@ -46,12 +46,6 @@ from .random_bench import FilmRequest as FilmRequest, filming_of as filming_of
 from .rehearsal import Obtained as Obtained, Rehearsal as Rehearsal, SimulatedRun as SimulatedRun, rehearse as rehearse
 from .rendering import Camera as Camera, Scene as Scene
 from .rod import RodMotion as RodMotion
-from .sensed_force import (
-    SensedForce as SensedForce,
-    SensedTags as SensedTags,
-    drawn_tags as drawn_tags,
-    felt_by as felt_by,
-)
 from .sheet import (
     Fill as Fill,
     Line as Line,

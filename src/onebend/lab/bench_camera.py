@@ -15,7 +15,6 @@ from onebend.lab.bench import PushProfile
 from onebend.lab.filming import (
     PLACES,
     BeamPose,
-    BeamShapes,
     Filming,
     cast_of,
     moment_of,
@@ -79,9 +78,8 @@ class BenchCamera:
         """(H, W) of the beam with poses (121, 3) at `PLACES` under `force` (2,) N.
 
         `faults`: "swapped", the last two tags; "hidden", the number of one that is covered."""
-        shapes = BeamShapes(np.array([time]), force[None], poses[None, :, :2], poses[None, :, 2])
         flat = np.zeros((1, len(PLACES)))
-        tags = tag_faces(self._filming, shapes, flat, flat)[0]
+        tags = tag_faces(self._filming, poses[None], flat, flat)[0]
         if "swapped" in faults:
             tags[[-1, -2]] = tags[[-2, -1]]
         turn = math.atan2(force[1], force[0]) if float(np.hypot(*force)) > 1e-3 else 0.5 * math.pi

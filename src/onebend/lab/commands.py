@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from rich.table import Table
 from onebend.beam.stiffness import half_width
 from onebend.cli import BY, common
 from onebend.errors import MechanicsError, reference
-from onebend.files.single_file import check_name_free, write_file
+from onebend.files.single_file import check_name_free, write_files
 from onebend.lab import designs, fabrication
 from onebend.lab.bench import PATCH_OVER_TAG, effects_named
 from onebend.lab.filming import Filming, check, check_trackable, film as make_film, marker_recording
@@ -255,7 +255,7 @@ def design(
             raise MechanicsError("name a design: uniform, linear, quadratic, cubic, or a file (--new FILE writes one)")
         found = cast.of(designs.find_design(name))
         expected = designs.expect(found)
-        _write_all(_design_files(found, csv_file, picture, model), overwrite=overwrite)
+        write_files(_design_files(found, csv_file, picture, model), overwrite=overwrite)
     common.answer(
         as_json,
         {"format": fabrication.DESIGN_FORMAT, "written_by": BY, **expected.as_dict()},
@@ -283,7 +283,7 @@ def mould(
         summary = fabrication.parts_summary(made, parts, written_by=BY)
         tables = partial(fabrication.write_parts, parts=parts, shape=shape)
         common.put_results(place, summary, tables, inputs=inputs_of([Path(name)]))
-        _write_all(_picture(picture, partial(fabrication.parts_figure, parts)), overwrite=overwrite)
+        write_files(_picture(picture, partial(fabrication.parts_figure, parts)), overwrite=overwrite)
     common.answer(as_json, summary, lambda console: show_parts(console, made, parts, output))
 
 
@@ -317,7 +317,7 @@ def tags(
         if known is not None:
             pages = (*pages, strip_page(known, page=page, rim=rim))
         written = files_of(output, pages, f"{named}, {1e3 * side:g} mm")
-        _write_all(written, overwrite=overwrite)
+        write_files(written, overwrite=overwrite)
     if as_json:
         data = {
             "format": fabrication.TAGS_FORMAT,
@@ -364,10 +364,3 @@ def _picture(path: Path | None, make: Draw) -> dict[Path, str | bytes]:
     pictures = draw({path.name: make})
     common.say_failed(pictures.failed)
     return {path: pictures.drawn[path.name]} if pictures.drawn else {}
-
-
-def _write_all(files: Mapping[Path, str | bytes], *, overwrite: bool) -> None:
-    for path in files:
-        check_name_free(path, overwrite=overwrite)
-    for path, data in files.items():
-        write_file(path, data, overwrite=overwrite)

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from onebend.beam.stiffness import half_width
 from onebend.errors import MechanicsError
@@ -375,7 +375,7 @@ def write_parts(folder: Path, parts: tuple[PrintedPart, ...], shape: str) -> Non
 
 
 S = np.linspace(0.0, 1.0, 401)
-PIXELS = 420  # longer side of a part
+SOLID = np.array([0.80, 0.87, 1.0])  # colour of a part
 VIEW = np.array([-0.45, -0.62, 0.64])  # towards the eye
 LIGHT = np.array([-0.2, -0.55, 0.81])
 
@@ -410,46 +410,22 @@ def parts_figure(parts: Sequence[PrintedPart]) -> Figure:
     for axes in places:
         axes.set_axis_off()
     for part, axes in zip(parts, places, strict=False):
-        axes.imshow(rendered(part), interpolation="antialiased")
+        axes.add_collection(faces_of(part))
+        axes.set_aspect("equal")
+        axes.autoscale_view()
         size = " x ".join(f"{extent:.0f}" for extent in part.mesh.extents)
         axes.set_title(f"{part.name}, {size} mm")
     return figure
 
 
-def rendered(part: PrintedPart, pixels: int = PIXELS) -> NDArray[np.uint8]:
-    """(H, W, 3): parallel light and projection, depth-buffered."""
-    right = np.cross([0.0, 0.0, 1.0], VIEW)
-    right /= np.linalg.norm(right)
+def faces_of(part: PrintedPart) -> PolyCollection:
+    """The faces that are seen, the nearest last: parallel light and projection."""
     toward = VIEW / np.linalg.norm(VIEW)
-    up = np.cross(toward, right)
-    corners = np.asarray(part.mesh.triangles, dtype=float) @ np.stack([right, up, toward]).T
-    low, high = corners.reshape(-1, 3).min(axis=0), corners.reshape(-1, 3).max(axis=0)
-    scale = (pixels - 4) / float(np.max((high - low)[:2]))
-    flat = (corners - low) * scale + 2.0
-    size = np.ceil((high - low)[:2] * scale).astype(int) + 4
-    shade = 0.35 + 0.65 * np.clip(np.asarray(part.mesh.face_normals) @ LIGHT, 0.0, 1.0)
-    facing = np.asarray(part.mesh.face_normals) @ toward > 1e-9
-    depth = np.full((size[1], size[0]), -np.inf)
-    level = np.ones((size[1], size[0]))
-    for triangle, grey in zip(flat[facing], shade[facing], strict=True):
-        _fill(triangle, float(grey), depth, level)
-    colours = level[::-1, :, None] * np.where(np.isfinite(depth[::-1, :, None]), [0.80, 0.87, 1.0], 1.0)
-    return np.asarray(255.0 * colours, dtype=np.uint8)
-
-
-def _fill(triangle: Array, grey: float, depth: Array, level: Array) -> None:
-    (x0, y0), (x1, y1) = np.floor(triangle[:, :2].min(axis=0)), np.ceil(triangle[:, :2].max(axis=0))
-    rows, columns = slice(int(y0), int(y1) + 1), slice(int(x0), int(x1) + 1)
-    x, y = np.arange(columns.start, columns.stop), np.arange(rows.start, rows.stop)[:, None]
-    edges = triangle[1:] - triangle[0]
-    area = edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0]
-    if area == 0.0:
-        return
-    dx, dy = x - triangle[0, 0], y - triangle[0, 1]
-    u = (dx * edges[1, 1] - dy * edges[1, 0]) / area
-    v = (dy * edges[0, 0] - dx * edges[0, 1]) / area
-    z = triangle[0, 2] + u * edges[0, 2] + v * edges[1, 2]
-    inside = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9)
-    shown = inside & (z > depth[rows, columns])
-    depth[rows, columns] = np.where(shown, z, depth[rows, columns])
-    level[rows, columns] = np.where(shown, grey, level[rows, columns])
+    right = np.cross([0.0, 0.0, 1.0], toward)
+    right /= np.linalg.norm(right)
+    normals = np.asarray(part.mesh.face_normals)
+    corners = np.asarray(part.mesh.triangles, dtype=float) @ np.stack([right, np.cross(toward, right), toward]).T
+    seen = np.flatnonzero(normals @ toward > 1e-9)
+    seen = seen[np.argsort(corners[seen, :, 2].mean(axis=1))]
+    shade = 0.35 + 0.65 * np.clip(normals[seen] @ LIGHT, 0.0, 1.0)
+    return PolyCollection(corners[seen, :, :2], color=shade[:, None] * SOLID, linewidth=0.3)

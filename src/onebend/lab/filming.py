@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from fractions import Fraction
 from functools import cache
 from math import isfinite, nan, pi
@@ -88,73 +88,68 @@ STEP, TOLERANCE = 4e-3, 1e-5  # s, first step; m, error at the markers
 ORDER = 12  # curvature nodes
 
 
-@dataclass(frozen=True)
-class MotionSettings:
-    """Weight, and inertia if the beam `swings`."""
+def shapes_at(
+    beam: Beam,
+    pushing: PushProfile,
+    time: Array,
+    *,
+    gravity: tuple[float, float] = (0.0, 0.0),
+    swings: bool = False,
+    damping: float = 0.006,
+    rotary_inertia: Profile = Uniform(0.0),
+) -> Array:
+    """(T, 121, 3) m, m, rad: the beam in the clamp's frame at rising times (T,) [s] and `PLACES`; at rest before 0.
 
-    gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2, clamp's frame
-    swings: bool = False
-    damping: float = 0.006  # s, internal (Kelvin-Voigt) damping over stiffness
-    rotary_inertia: Profile = field(default_factory=lambda: Uniform(0.0))  # kg m
+    Args:
+        gravity: m/s^2, clamp's frame.
+        swings: by the equation of motion, else by equilibria.
+        damping: s, internal (Kelvin-Voigt) damping over stiffness.
+        rotary_inertia: kg m.
 
-
-@dataclass(frozen=True)
-class BeamShapes:
-    """The beam at T times, clamp's frame, at `PLACES`."""
-
-    time: Array  # (T,) s
-    force: Array  # (T, 2) N
-    xy: Array  # (T, 121, 2) m
-    angle: Array  # (T, 121) rad
-
-    def at(self, s: Array) -> tuple[Array, Array]:
-        """(T, m, 2) m and (T, m) rad at `s` (m,), cubic between `PLACES`."""
-        inside = np.clip(s, 0.0, 1.0)
-        xy, angle = (CubicSpline(PLACES, values, axis=1)(inside) for values in (self.xy, self.angle))
-        return np.asarray(xy), np.asarray(angle)
-
-
-def shapes_at(beam: Beam, pushing: PushProfile, time: Array, motive: MotionSettings = MotionSettings()) -> BeamShapes:
-    """The beam at rising times (T,) [s]; at rest before 0. Raises `MechanicsError`: snap-through, or weight or inertia
-    with an unknown mass."""
-    if (motive.swings or any(motive.gravity)) and not float(np.min(beam.mass_per_length(PLACES))) > 0.0:
+    Raises:
+        MechanicsError: snap-through, or weight or inertia with an unknown mass.
+    """
+    if (swings or any(gravity)) and not float(np.min(beam.mass_per_length(PLACES))) > 0.0:
         raise MechanicsError("a beam without mass has neither weight nor inertia. Give it a mass per length")
-    return swinging(beam, pushing, time, motive) if motive.swings else standing(beam, pushing, time, motive)
-
-
-def standing(beam: Beam, pushing: PushProfile, time: Array, motive: MotionSettings) -> BeamShapes:
-    """Exact equilibria."""
-    force = pushing.force(time)
-    xy, angle = [], []
-    for i in range(0, len(time), BATCH):
-        part = force[i : i + BATCH]
-        loads = push(part, pushing.at_s)
-        if any(motive.gravity):
-            loads = loads + weight(np.tile(motive.gravity, (len(part), 1)))
-        solved = equilibrium(beam, loads, resolution=RESOLUTION)
-        if not np.all(solved.converged):
-            raise MechanicsError(f"the beam snaps through under {pushing.peak:.3g} N. Give a smaller force")
-        xy.append(solved.xy(PLACES))
-        angle.append(solved.angle(PLACES))
-    return BeamShapes(time, force, np.concatenate(xy), np.concatenate(angle))
-
-
-def swinging(beam: Beam, pushing: PushProfile, time: Array, motive: MotionSettings) -> BeamShapes:
-    """The equation of motion, from rest under weight."""
-    damping = Scaled(motive.damping, beam.stiffness)
-    moving = body(beam, rotary_inertia=motive.rotary_inertia, damping=damping, resolution=Resolution(ORDER))
+    if not swings:
+        force = pushing.force(time)
+        parts = [standing(beam, force[i : i + BATCH], pushing.at_s, gravity) for i in range(0, len(time), BATCH)]
+        return np.concatenate(parts)
+    moving = body(
+        beam, rotary_inertia=rotary_inertia, damping=Scaled(damping, beam.stiffness), resolution=Resolution(ORDER)
+    )
     breaks = tuple(sorted({pushing.before, pushing.before + pushing.rise, *pushing.contact}))
     on_beam = AppliedForce(lambda t: pushing.force(np.array([t]))[0], pushing.at_s, breaks)
-    actions = Actions(forces=(on_beam,), gravity=motive.gravity)
-    start = settle(moving, actions)
-    until = float(time[-1])
+    actions = Actions(forces=(on_beam,), gravity=gravity)
+    start, until = settle(moving, actions), float(time[-1])
     if not (isfinite(until) and until > 0.0):
         raise MechanicsError("a film lasts longer than 0 s")
     motion = converged(moving, start, until, actions, tolerance=TOLERANCE, step=STEP, at_s=(1 / 3, 2 / 3, 1.0))
     theta = motion.states_at(np.clip(time, 0.0, until))
-    xy = np.concatenate([moving.xy(PLACES, theta[i : i + BATCH]) for i in range(0, len(theta), BATCH)])
-    angle = np.concatenate([moving.angle(PLACES, theta[i : i + BATCH]) for i in range(0, len(theta), BATCH)])
-    return BeamShapes(time, pushing.force(time), xy, angle)
+    parts = [theta[i : i + BATCH] for i in range(0, len(theta), BATCH)]
+    return np.concatenate([joined(moving.xy(PLACES, part), moving.angle(PLACES, part)) for part in parts])
+
+
+def standing(beam: Beam, force: Array, at_s: float, gravity: tuple[float, float]) -> Array:
+    """Exact equilibria under forces (T, 2) N."""
+    loads = push(force, at_s)
+    if any(gravity):
+        loads = loads + weight(np.tile(gravity, (len(force), 1)))
+    solved = equilibrium(beam, loads, resolution=RESOLUTION)
+    if not np.all(solved.converged):
+        largest = float(np.max(np.linalg.norm(force, axis=1)))
+        raise MechanicsError(f"the beam snaps through under {largest:.3g} N or less. Give a smaller force")
+    return joined(solved.xy(PLACES), solved.angle(PLACES))
+
+
+def joined(xy: Array, angle: Array) -> Array:
+    """(..., 3) poses of places (..., 2) and angles (...)."""
+    return np.concatenate([xy, angle[..., None]], axis=-1)
+
+
+def between_places(poses: Array, s: Array) -> Array:
+    """(T, m, 3) of poses (T, 121, 3) at `PLACES`: at `s` (m,), cubic."""
+    return np.asarray(CubicSpline(PLACES, poses, axis=1)(np.clip(s, 0.0, 1.0)))
 
 
 DOWN = -0.5 * pi  # rad, gravity in the room
@@ -212,9 +207,10 @@ def frame_times(filming: Filming, rng: np.random.Generator) -> Array:
     return np.asarray(np.flatnonzero(kept) / filming.bench.fps)
 
 
-def motive_of(filming: Filming) -> MotionSettings:
-    pull = filming.gravity * np.array([np.cos(DOWN - filming.base_angle), np.sin(DOWN - filming.base_angle)])
-    return MotionSettings((float(pull[0]), float(pull[1])), filming.swings, filming.damping, filming.rotary_inertia)
+def gravity_of(filming: Filming) -> tuple[float, float]:
+    """m/s^2, clamp's frame."""
+    turn = DOWN - filming.base_angle
+    return filming.gravity * math.cos(turn), filming.gravity * math.sin(turn)
 
 
 @dataclass(frozen=True)
@@ -496,31 +492,32 @@ def camera_motion(effects: RealBench, until: float, rng: np.random.Generator) ->
     )
 
 
-def droop(beam: Beam, tip: float, s: Array, xy: Array, angle: Array) -> tuple[Array, Array]:
-    """Heights (T, S) [m] and slopes along the beam (T, S) [rad] of shapes xy (T, S, 2), angle (T, S) at `s` (S,) that
-    sag out of the plane.
+def droop(beam: Beam, tip: float, s: Array, poses: Array) -> tuple[Array, Array]:
+    """Heights (T, S) [m] and slopes along the beam (T, S) [rad] of poses (T, S, 3) at `s` (S,) that sag out of the
+    plane.
 
     Weight bends each piece by its moment about the piece's normal: z'' = -m / (E I across), I across ~ k^(1/3) (a bar
     of even depth); twist is neglected. Scaled so that the straight beam's tip hangs by `tip` [m].
     """
     if tip == 0.0:
-        return np.zeros(angle.shape), np.zeros(angle.shape)
+        return np.zeros(poses.shape[:2]), np.zeros(poses.shape[:2])
     mass = np.asarray(beam.mass_per_length(s))
     mass = mass if np.all(mass > 0.0) else np.ones(len(s))
     softness = 1.0 / np.cbrt(np.asarray(beam.stiffness(s)))
-    straight = np.stack([beam.length * s, np.zeros(len(s))], axis=-1)[None]
-    at_tip = heights(straight, np.zeros((1, len(s))), s, mass, softness)[0][0, -1]
-    z, slope = heights(xy, angle, s, mass, softness)
+    straight = np.stack([beam.length * s, 0.0 * s, 0.0 * s], axis=-1)[None]
+    at_tip = heights(straight, s, mass, softness)[0][0, -1]
+    z, slope = heights(poses, s, mass, softness)
     return tip / -at_tip * z, tip / -at_tip * slope / beam.length
 
 
-def heights(xy: Array, angle: Array, s: Array, mass: Array, softness: Array) -> tuple[Array, Array]:
+def heights(poses: Array, s: Array, mass: Array, softness: Array) -> tuple[Array, Array]:
     """(T, S) height and its derivative with s, up to a common factor."""
 
     def beyond(values: Array) -> Array:  # integral from s to the tip along axis 1
         whole = cumulative_trapezoid(values, s, axis=1, initial=0.0)
         return np.asarray(whole[:, -1:] - whole)
 
+    xy, angle = poses[..., :2], poses[..., 2]
     weight = np.broadcast_to(mass, angle.shape)
     arm = beyond(weight[..., None] * xy) - beyond(weight)[..., None] * xy
     moment = arm[..., 0] * np.cos(angle) + arm[..., 1] * np.sin(angle)
@@ -532,20 +529,19 @@ def heights(xy: Array, angle: Array, s: Array, mass: Array, softness: Array) -> 
 class Filmed:
     """Beam, tags and contact at T moments."""
 
-    shapes: BeamShapes  # clamp's frame
-    beam: Array  # (T, 121, 4) x, y, angle, z at `PLACES`, room
+    time: Array  # (T,) s
+    poses: Array  # (T, 121, 3) x, y, angle at `PLACES`, clamp's frame
+    beam: Array  # (T, 121, 4) the same and z, room
     tags: Array  # (T, m + 1, 6) x, y, angle, z and tilts, room; base tag first
     contact: Array  # (T,) s, place of the tool
 
     def part(self, which: slice) -> Filmed:
-        shapes = self.shapes
-        few = BeamShapes(shapes.time[which], shapes.force[which], shapes.xy[which], shapes.angle[which])
-        return Filmed(few, self.beam[which], self.tags[which], self.contact[which])
+        return Filmed(*(getattr(self, one.name)[which] for one in fields(self)))
 
 
 def followed(filming: Filming, until: float) -> RodMotion | None:
     """The beam through the whole film if effects change its motion, else None."""
-    return motion_of(filming.bench, until, at=PLACES, gravity=motive_of(filming).gravity)
+    return motion_of(filming.bench, until, at=PLACES, gravity=gravity_of(filming))
 
 
 def moments_at(filming: Filming, motion: RodMotion | None, time: Array) -> Filmed:
@@ -553,24 +549,22 @@ def moments_at(filming: Filming, motion: RodMotion | None, time: Array) -> Filme
     needed and unknown."""
     bench = filming.bench
     if motion is None:
-        shapes = shapes_at(bench.beam, bench.push, time, motive_of(filming))
+        inertia = {name: getattr(filming, name) for name in ("swings", "damping", "rotary_inertia")}
+        poses = shapes_at(bench.beam, bench.push, time, gravity=gravity_of(filming), **inertia)
         contact = np.full(len(time), bench.push.at_s)
     else:
-        poses = motion.poses(time, PLACES)
-        shapes = BeamShapes(time, bench.push.force(time), poses[..., :2], poses[..., 2])
-        contact = motion.contacts(time)
-    z, slope = droop(bench.beam, bench.effects.droop, PLACES, shapes.xy, shapes.angle)
-    beam = np.concatenate([shapes.xy, shapes.angle[..., None], z[..., None]], axis=-1)
-    tags = tag_faces(filming, shapes, z, slope)
-    return Filmed(shapes, in_room(beam, filming.base_angle), in_room(tags, filming.base_angle), contact)
+        poses, contact = motion.poses(time, PLACES), motion.contacts(time)
+    z, slope = droop(bench.beam, bench.effects.droop, PLACES, poses)
+    beam, tags = np.concatenate([poses, z[..., None]], axis=-1), tag_faces(filming, poses, z, slope)
+    return Filmed(time, poses, in_room(beam, filming.base_angle), in_room(tags, filming.base_angle), contact)
 
 
-def tag_faces(filming: Filming, shapes: BeamShapes, z: Array, slope: Array) -> Array:
+def tag_faces(filming: Filming, poses: Array, z: Array, slope: Array) -> Array:
     """(T, m + 1, 6) base tag and beam tags, clamp's frame: x, y, angle, z, tilts about and along it."""
-    bench, count = filming.bench, len(shapes.time)
+    bench, count = filming.bench, len(poses)
     effects, s = bench.effects, np.clip(tag_places(bench), 0.0, 1.0)
-    xy, angle = shapes.at(s)
-    flat = tag_poses_on(bench, xy, angle)
+    under = between_places(poses, s)
+    flat = tag_poses_on(bench, under[..., :2], under[..., 2])
     heights = np.array(effects.tag_heights) if effects.tag_heights else np.zeros(len(s))
     tilts = np.array(effects.tag_tilts) if effects.tag_tilts else np.zeros((len(s), 2))
     up = np.stack([np.array([np.interp(s, PLACES, one) for one in of]) for of in (z, slope)], axis=-1)
@@ -610,7 +604,7 @@ class FilmTruth:
 def write_truth(folder: Path, made: FilmTruth) -> None:
     """Write `truth.npz` and `truth.json` into the new `folder`. For comparison only: learning never reads them."""
     folder.mkdir(parents=True, exist_ok=True)
-    filming, shapes = made.filming, made.shown.shapes
+    filming, shown = made.filming, made.shown
     beam = filming.bench.beam
     truth = true_stiffness(filming.bench, made.motion, S)
     np.savez_compressed(
@@ -623,20 +617,20 @@ def write_truth(folder: Path, made: FilmTruth) -> None:
         width=np.asarray(filming.width(S)),
         rhoA=np.asarray(beam.mass_per_length(S)),
         kappa0=rest_curvature(beam, filming.bench.effects, S) / beam.length,
-        t_frame=shapes.time,
+        t_frame=shown.time,
         s_shape=PLACES,
-        x=shapes.xy[..., 0],
-        y=shapes.xy[..., 1],
-        alpha=shapes.angle,
-        F=shapes.force,
-        s_a=made.shown.contact,
-        z=made.shown.beam[..., 3],
+        x=shown.poses[..., 0],
+        y=shown.poses[..., 1],
+        alpha=shown.poses[..., 2],
+        F=filming.bench.push.force(shown.time),
+        s_a=shown.contact,
+        z=shown.beam[..., 3],
         camera_px=made.moved,
-        base=np.full(len(shapes.time), filming.base_angle),
+        base=np.full(len(shown.time), filming.base_angle),
         tag_id=np.array([0, *(tag.id for tag in filming.bench.tags)], dtype=np.int64),
-        tag_xya=made.shown.tags[..., :3],
-        tag_xyaz=made.shown.tags[..., :4],
-        tag_tilts=made.shown.tags[..., 4:],
+        tag_xya=shown.tags[..., :3],
+        tag_xyaz=shown.tags[..., :4],
+        tag_tilts=shown.tags[..., 4:],
         log_t=made.log.time,
         log_F=made.clean.force,
     )
@@ -671,8 +665,8 @@ def facts_of(made: FilmTruth) -> dict[str, Any]:
         "tags": {"base": bench.base, "on_beam": [asdict(tag) for tag in bench.tags], "size": filming.tag_size},
         "force": {**asdict(bench.sensor), "rotation": filming.log_rotation, "reaction": filming.log_of_robot},
         "gravity": {"magnitude": filming.gravity, "base_angle": filming.base_angle},
-        "tip_angle_max_deg": float(np.degrees(np.max(np.abs(made.shown.shapes.angle[:, -1])))),
-        "force_max_N": float(np.max(np.linalg.norm(made.shown.shapes.force, axis=1))),
+        "tip_angle_max_deg": float(np.degrees(np.max(np.abs(made.shown.poses[:, -1, 2])))),
+        "force_max_N": float(np.max(np.linalg.norm(bench.push.force(made.shown.time), axis=1))),
         "effects": asdict(bench.effects),
         "secant_modulus": 1.0 if made.motion is None else made.motion.secant,
         "meaning": MEANING,
@@ -711,7 +705,7 @@ def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress 
     readout = bench.effects.readout
     motion = followed(filming, float(exposed[-1]) + readout)
     moments = moments_at(filming, motion, exposed)
-    refuse_sharp_bends(filming, moments.shapes)
+    refuse_sharp_bends(filming, moments.poses)
     later = [moments_at(filming, motion, exposed + part * readout) for part in (0.5, 1.0)] if readout else []
     camera_moves = camera_motion(bench.effects, bench.push.duration, np.random.default_rng([seed, 13]))
     cast = cast_of(filming, np.random.default_rng([seed, 12]))
@@ -737,9 +731,9 @@ def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress 
     return folder
 
 
-def refuse_sharp_bends(filming: Filming, shapes: BeamShapes) -> None:
+def refuse_sharp_bends(filming: Filming, poses: Array) -> None:
     """Raises where a bend is so sharp that its inner side would fold."""
-    turn = np.abs(np.diff(shapes.angle, axis=1)) / np.diff(PLACES) / filming.bench.beam.length
+    turn = np.abs(np.diff(poses[..., 2], axis=1)) / np.diff(PLACES) / filming.bench.beam.length
     half = 0.5 * np.asarray(filming.width(0.5 * (PLACES[1:] + PLACES[:-1])))
     tightest = float(np.max(turn * half))
     if tightest >= SHARPEST:

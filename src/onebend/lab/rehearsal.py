@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import time
 from collections.abc import Iterable
@@ -62,11 +60,6 @@ class SimulatedRun:
         """For JSON, to five digits."""
         numbers = {name: [float(f"{v:.5g}") for v in getattr(self, name)] for name in ("error", "sd")}
         return asdict(self) | numbers | {"identified": "".join("01"[v] for v in self.identified)}
-
-    @staticmethod
-    def from_dict(data: dict[str, Any]) -> SimulatedRun:
-        changed = {"error": tuple(data["error"]), "sd": tuple(data["sd"])}
-        return SimulatedRun(**(data | changed | {"identified": tuple(v == "1" for v in data["identified"])}))
 
 
 def benches(setup: forecast.Setup, seed: int) -> tuple[VirtualBench, ...]:
@@ -140,40 +133,13 @@ def simulate(
     seeds: Iterable[int],
     *,
     jobs: int = 1,
-    keep: Path | None = None,
     progress: Progress = Silent(),
 ) -> tuple[SimulatedRun, ...]:
-    """One run per seed, in order, in `jobs` processes. Runs in the folder `keep` are reused, and new ones added at
-    once."""
+    """One run per seed, in order, in `jobs` processes."""
     wanted = list(seeds)
-    file = None if keep is None else keep / f"runs-{key_of(setup)}.jsonl"
-    done = {} if file is None else read_runs(file)
-    todo = [seed for seed in wanted if seed not in done]
-    made = in_processes(partial(simulate_run, setup), todo, jobs)
-    for run in track(progress, "pushing simulated beams", made, len(todo)):
-        done[run.seed] = run
-        if file is not None:
-            with file.open("a", encoding="utf-8") as lines:
-                lines.write(json.dumps(run.as_dict()) + "\n")
+    made = in_processes(partial(simulate_run, setup), wanted, jobs)
+    done = {run.seed: run for run in track(progress, "pushing simulated beams", made, len(wanted))}
     return tuple(done[seed] for seed in wanted)
-
-
-def read_runs(file: Path) -> dict[int, SimulatedRun]:
-    """Earlier runs; a truncated line is skipped."""
-    found: dict[int, SimulatedRun] = {}
-    if file.is_file():
-        for line in file.read_text(encoding="utf-8").splitlines():
-            try:
-                run = SimulatedRun.from_dict(json.loads(line))
-            except (json.JSONDecodeError, KeyError, TypeError):
-                continue
-            found[run.seed] = run
-    return found
-
-
-def key_of(setup: forecast.Setup) -> str:
-    """Hash of all that a run depends on except its seed."""
-    return hashlib.sha256(repr(setup).encode()).hexdigest()[:16]
 
 
 def errors_of(runs: Iterable[SimulatedRun]) -> tuple[Array, Array, BoolArray]:
@@ -243,15 +209,16 @@ def rehearse(
     runs: int = 24,
     seed: int = 0,
     jobs: int = 1,
-    keep: Path | None = None,
     count: int = 8,
     progress: Progress = Silent(),
 ) -> Rehearsal:
     """Expected accuracy of k(s) for a setup: by Fisher information, and from `runs` simulated recordings.
 
-    Run i has seed `seed` + i. `jobs` > 1 uses that many processes. A folder `keep` stores each run, so interrupted work
-    continues. Raises `LearningError`: invalid number of runs or processes. Raises `MechanicsError`: the beam buckles,
-    snaps through, hardly bends, or bends too far.
+    Run i has seed `seed` + i. `jobs` > 1 uses that many processes.
+
+    Raises:
+        LearningError: invalid number of runs or processes.
+        MechanicsError: the beam buckles, snaps through, hardly bends, or bends too far.
     """
     if runs < 0 or jobs < 1 or seed < 0:
         raise LearningError(f"a rehearsal needs runs >= 0, jobs >= 1 and seed >= 0, got {runs}, {jobs} and {seed}")
@@ -259,7 +226,7 @@ def rehearse(
     predicted = forecast.predict(setup)
     budget = forecast.uncertainty_budget(setup, predicted)
     changes = forecast.advise(setup, predicted, count=count, progress=progress)
-    done = simulate(setup, range(seed, seed + runs), jobs=jobs, keep=keep, progress=progress) if runs else ()
+    done = simulate(setup, range(seed, seed + runs), jobs=jobs, progress=progress) if runs else ()
     return Rehearsal(setup, seed, predicted, budget, changes, done)
 
 

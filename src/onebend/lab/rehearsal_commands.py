@@ -1,4 +1,4 @@
-"""Commands `loop`, `rehearse` and `reproduce`."""
+"""Commands `loop` and `rehearse`."""
 
 from __future__ import annotations
 
@@ -15,14 +15,12 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-import onebend
 from onebend.cli import BY, common
 from onebend.cli.control import show_loop
 from onebend.cli.models import SetUpOptions, gravity_on, read_trusted, warn_beyond_learned
 from onebend.control import loop_simulation
 from onebend.control.loop import controller
 from onebend.errors import RecordingError
-from onebend.lab import study_report
 from onebend.lab.forecast import BudgetEntry, Tolerances, known_beam, setup_of
 from onebend.lab.random_bench import FilmRequest
 from onebend.lab.rehearsal import (
@@ -37,13 +35,12 @@ from onebend.lab.rehearsal import (
     summary_of,
     write_table,
 )
-from onebend.lab.study import StudyOutcome, StudySettings, printed_m3, quick_words, reproduce as run
 from onebend.learning.design import PLACES
 from onebend.options import POSITIVE, Only, option
 from onebend.progress import available_cores
 from onebend.report.pictures import draw
 from onebend.report.sentences import say
-from onebend.report.wording import UNKNOWN, millimetres, significant, width_words
+from onebend.report.wording import significant, width_words
 from onebend.results.control_files import loop_summary, write_loop
 from onebend.results.model import model_file
 from onebend.results.provenance import inputs_of
@@ -249,9 +246,8 @@ def rehearse(
         )
         with common.place_for(output, REHEARSE_FORMAT, overwrite) as place, common.progress_of(quiet) as progress:
             inputs = () if place is None else inputs_of([Path(design)])
-            keep = None if place is None else place.work  # runs are stored there as they end
             settings = {"runs": runs, "seed": seed, "jobs": jobs or available_cores(), "count": count}
-            found = make_rehearsal(setup, **settings, keep=keep, progress=progress)
+            found = make_rehearsal(setup, **settings, progress=progress)
             if place is not None:
                 pictures = draw({"rehearsal": partial(rehearsal_figure, found)})
                 whole = {**summary_of(found, written_by=BY), "runs": [run.as_dict() for run in found.runs]}
@@ -297,57 +293,3 @@ def places_of(text: str | None) -> tuple[float, ...]:
     if not all(math.isfinite(s) for s in places):
         raise RecordingError(f"--tags {text!r}: every place must be a number in (0, 1]")
     return places
-
-
-def show_reproduced(console: Console, outcome: StudyOutcome, output: Path) -> None:
-    heads = ("<beam", "<push", "printed", "paper's method", "fit", "true beam")
-    table = common.listing("RMS error at the tip [mm]", *heads)
-    for beam in outcome.beams:
-        for film in beam.films[1:]:
-            printed = printed_m3(beam.name, film.strategy.name)
-            paper = None if film.paper is None else film.paper.rms[-1]
-            before = (UNKNOWN if error is None else millimetres(error) for error in (printed, paper))
-            ours = f"[bold]{millimetres(film.fit.rms[-1])}[/]", millimetres(film.true.rms[-1])
-            table.add_row(beam.name, film.strategy.name, *before, *ours)
-    console.print(table)
-    below, known = study_report.below_printed(outcome)
-    tasks = [done for beam in outcome.beams for done in beam.tasks if done.way == "fit"]
-    reached = sum(done.found.converged for done in tasks)
-    console.print(f"\nThe fit is below the printed error in {below} of {known} validations.")
-    console.print(f"{reached} of {len(tasks)} manipulation tasks reached their goals.")
-    if words := quick_words(outcome.setting):
-        console.print(words)
-    console.print(f"Wrote {output / 'report.html'}", markup=False)
-
-
-ReproduceOut = Annotated[
-    Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for films, tables and report.")
-]
-
-
-Processes = Annotated[
-    int | None, typer.Option("--processes", min=1, metavar="N", help="Number of processes; default: one per core.")
-]
-
-
-def reproduce(
-    *,
-    output: ReproduceOut,
-    setting: StudySettings,
-    processes: Processes = None,
-    overwrite: common.Overwrite = False,
-    as_json: common.Json = False,
-    quiet: common.Quiet = False,
-) -> None:
-    with (
-        common.clean_errors(),
-        common.workplace(output, study_report.REPRODUCE_FORMAT, overwrite) as place,
-        common.progress_of(quiet) as progress,
-    ):
-        found = run(place.work, setting, written_by=BY, processes=processes or 0, progress=progress)
-        pictures = study_report.draw_figures(found, progress=progress)
-        summary = study_report.summary_of(found, written_by=BY)
-        tables = partial(study_report.write_report, outcome=found, figures=pictures.drawn, version=onebend.__version__)
-        made_from = common.made_from_files((), {"study": setting})
-        common.put_results(place, summary, tables, pictures, figures="figures", made_from=made_from)
-    common.answer(as_json, summary, lambda console: show_reproduced(console, found, output), output)

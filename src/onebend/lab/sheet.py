@@ -8,26 +8,27 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
-from xml.sax.saxutils import escape
+from typing import Literal
 
 import numpy as np
+from matplotlib import rc_context
+from matplotlib.backends.backend_pdf import PdfPages
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as Outline
 
 from onebend.errors import MechanicsError
-from onebend.extras import package
 from onebend.recording.entries import FAMILIES, Recording, TagEntry
 from onebend.recording.tag_finder import PrintedTag, printed_tag
 from onebend.records import Array
 
-if TYPE_CHECKING:
-    from reportlab.pdfgen.canvas import Canvas
-
-
 # Pages: a few kinds of marks in mm from the upper left corner, as PDF or SVG.
 
-POINT = 25.4 / 72.0  # mm
+INCH, POINT = 25.4, 25.4 / 72.0  # mm
 PAGES = {"a4": (210.0, 297.0), "letter": (215.9, 279.4)}  # mm, upright
 SUFFIXES = (".pdf", ".svg")
 
@@ -65,8 +66,7 @@ class Page:
 
 
 def write_pages(path: Path | str, pages: Sequence[Page], title: str) -> tuple[Path, ...]:
-    """Write one PDF, or one SVG per page (`name.svg`, `name-2.svg`, ...); returns the paths. Raises `MechanicsError`:
-    another file ending. Raises `OSError`: the file cannot be written."""
+    """Write the files of `files_of`; returns their paths. Raises `OSError`: a file cannot be written."""
     files = files_of(path, pages, title)
     for one, data in files.items():
         one.write_bytes(data)
@@ -74,80 +74,50 @@ def write_pages(path: Path | str, pages: Sequence[Page], title: str) -> tuple[Pa
 
 
 def files_of(path: Path | str, pages: Sequence[Page], title: str) -> dict[Path, bytes]:
-    """Contents of the files of `write_pages`, by path. Raises `MechanicsError` as that does."""
-    path = Path(path)
+    """Contents of one PDF, or of one SVG per page (`name.svg`, `name-2.svg`, ...), by path. Equal pages give equal
+    bytes. Raises `MechanicsError`: another file ending."""
+    path, metadata = Path(path), {"Title": title, "Creator": "onebend"}
     if path.suffix.lower() not in SUFFIXES:
         raise MechanicsError(f"{path}: sheets are written as {' or '.join(SUFFIXES)}. Name the file so.")
-    if path.suffix.lower() == ".pdf":
-        return {path: pdf(pages, title)}
-    paths = (path if i == 0 else path.with_name(f"{path.stem}-{i + 1}{path.suffix}") for i in range(len(pages)))
-    return {one: svg(page, title).encode("utf-8") for one, page in zip(paths, pages, strict=True)}
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "onebend", "pdf.fonttype": 42}):
+        if path.suffix.lower() == ".svg":
+            names = (path if i == 0 else path.with_name(f"{path.stem}-{i + 1}{path.suffix}") for i in range(len(pages)))
+            return {one: _svg(page, metadata) for one, page in zip(names, pages, strict=True)}
+        stream = BytesIO()
+        with PdfPages(stream, metadata={**metadata, "CreationDate": None}) as document:
+            for page in pages:
+                document.savefig(figure_of(page))
+        return {path: stream.getvalue()}
 
 
-def pdf(pages: Sequence[Page], title: str) -> bytes:
-    """Equal pages give equal bytes."""
-    canvas = package("reportlab.pdfgen.canvas", "make").Canvas("", invariant=1, initialFontName="Helvetica")
-    canvas.setTitle(title)
-    canvas.setCreator("onebend")
-    for page in pages:
-        canvas.setPageSize((page.width / POINT, page.height / POINT))
-        for mark in page.marks:
-            _draw(canvas, page, mark)
-        canvas.showPage()
-    return bytes(canvas.getpdfdata())
+def _svg(page: Page, metadata: dict[str, str]) -> bytes:
+    stream = BytesIO()
+    figure_of(page).savefig(stream, format="svg", metadata={**metadata, "Date": None})
+    return stream.getvalue()
 
 
-def _draw(canvas: Canvas, page: Page, mark: Mark) -> None:
-    def at(x: float, y: float) -> tuple[float, float]:
-        return float(x) / POINT, (page.height - float(y)) / POINT
-
-    if isinstance(mark, Fill):
-        path = canvas.beginPath()
-        for polygon in mark.polygons:
-            path.moveTo(*at(*polygon[0]))
-            for corner in polygon[1:]:
-                path.lineTo(*at(*corner))
-            path.close()
-        canvas.drawPath(path, stroke=0, fill=1)
-    elif isinstance(mark, Line):
-        canvas.setLineWidth(mark.width / POINT)
-        canvas.line(*at(*mark.start), *at(*mark.end))
-    else:
-        canvas.setFont("Helvetica", mark.height / POINT)
-        write = canvas.drawCentredString if mark.anchor == "middle" else canvas.drawString
-        write(*at(*mark.at), mark.text)
+def figure_of(page: Page) -> Figure:
+    """Marks at their size."""
+    figure = Figure(figsize=(page.width / INCH, page.height / INCH))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set(xlim=(0.0, page.width), ylim=(page.height, 0.0))
+    axes.set_axis_off()
+    for mark in page.marks:
+        if isinstance(mark, Fill):
+            outline = Outline.make_compound_path(*(Outline(polygon, closed=True) for polygon in _closed(mark.polygons)))
+            axes.add_patch(PathPatch(outline, facecolor="black", linewidth=0.0))
+        elif isinstance(mark, Line):
+            x, y = zip(mark.start, mark.end, strict=True)
+            axes.add_line(Line2D(x, y, linewidth=mark.width / POINT, color="black", solid_capstyle="butt"))
+        else:
+            side, size = "center" if mark.anchor == "middle" else "left", mark.height / POINT
+            axes.text(*mark.at, mark.text, fontsize=size, ha=side, va="baseline", parse_math=False)
+    return figure
 
 
-def svg(page: Page, title: str) -> str:
-    """In mm."""
-    rows = [
-        '<?xml version="1.0" encoding="UTF-8"?>',
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{page.width:g}mm" height="{page.height:g}mm" '
-        f'viewBox="0 0 {page.width:g} {page.height:g}">',
-        f"<title>{escape(title)}</title>",
-        f'<rect width="{page.width:g}" height="{page.height:g}" fill="white"/>',
-        *(_element(mark) for mark in page.marks),
-        "</svg>",
-        "",
-    ]
-    return "\n".join(rows)
-
-
-def _element(mark: Mark) -> str:
-    if isinstance(mark, Fill):
-        outlines = ("M" + "L".join(f"{x:.9g},{y:.9g}" for x, y in np.round(p, 5)) + "Z" for p in mark.polygons)
-        return f'<path fill="black" d="{"".join(outlines)}"/>'
-    if isinstance(mark, Line):
-        (x1, y1), (x2, y2) = mark.start, mark.end
-        return (
-            f'<line x1="{x1:.6g}" y1="{y1:.6g}" x2="{x2:.6g}" y2="{y2:.6g}" stroke="black" '
-            f'stroke-width="{mark.width:g}"/>'
-        )
-    x, y = mark.at
-    return (
-        f'<text x="{x:.6g}" y="{y:.6g}" font-family="Helvetica, Arial, sans-serif" font-size="{mark.height:g}" '
-        f'text-anchor="{mark.anchor}">{escape(mark.text)}</text>'
-    )
+def _closed(polygons: Array) -> Array:
+    """(n, c + 1, 2) polygons (n, c, 2) that end where they begin."""
+    return np.concatenate([polygons, polygons[:, :1]], axis=1)
 
 
 LEFT, RIGHT, TOP, BOTTOM = 20.0, 10.0, 24.0, 28.0  # mm around the tags; rulers to the left and below

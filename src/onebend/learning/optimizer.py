@@ -55,7 +55,7 @@ from onebend.learning.parameters import Layout, Priors, Spline, known_shape, mak
 from onebend.learning.prediction import Prediction, predict
 from onebend.learning.static_poses import pose_rms, unexplained
 from onebend.progress import Progress, Silent, each
-from onebend.records import Array, BoolArray, Observations, covariance_with_camera
+from onebend.records import Array, BoolArray, Observations, covariance_with_camera, marker_words
 
 # Levenberg-Marquardt along curved valleys: trial steps are corrected by chord Newton steps, which need no new
 # derivatives. See Transtrum and Sethna (2012) on the geometry.
@@ -315,7 +315,7 @@ class Miss:
     """A recording that the fit cannot explain."""
 
     name: str
-    tag: int  # the worst
+    tag: str  # the worst, in words
     rms: float  # m
     motion: float  # m, of the tag
     share: float  # of the motion of all tags together, missed
@@ -329,8 +329,7 @@ class Miss:
     def words(self) -> str:
         """A description of the misfit."""
         return (
-            f"the fit misses tag {self.tag} by {1000 * self.rms:.3g} mm RMS where it moves by "
-            f"{1000 * self.motion:.3g} mm"
+            f"the fit misses {self.tag} by {1000 * self.rms:.3g} mm RMS where it moves by {1000 * self.motion:.3g} mm"
         )
 
 
@@ -352,6 +351,8 @@ def _miss(data: FitData, rms: Array) -> Miss | None:
         zeroed = o.readings.bare >= 0
         straight = np.zeros(2) if zeroed else o.length * o.marker_s[:, None] * np.array([1.0, 0.0])
         motion = np.full_like(motion, np.nanmax(distances(xy - straight)))
+    elif o.traced is not None:  # so do those of a curve, whose errors are alike along it
+        motion[o.traced] = np.nanmax(motion[o.traced])
     variance = np.trace(covariance_with_camera(o)[..., :2, :2], axis1=2, axis2=3)
     off = rms > _LEAST_MISS * np.sqrt(np.fmin.reduce(variance))
     missing = np.divide(rms, motion, out=np.zeros_like(rms), where=off & (motion > 0.0))
@@ -359,7 +360,8 @@ def _miss(data: FitData, rms: Array) -> Miss | None:
     if not missing[worst] > MISS:
         return None
     share = float(np.sqrt(np.nansum(rms**2) / np.nansum(motion**2)))
-    return Miss(o.source.name, int(o.tag_id[worst]), float(rms[worst]), float(motion[worst]), share)
+    tag = marker_words(int(o.tag_id[worst]), float(o.marker_s[worst]))
+    return Miss(o.source.name, tag, float(rms[worst]), float(motion[worst]), share)
 
 
 _LOST_FORCE = (

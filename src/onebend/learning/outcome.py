@@ -11,7 +11,7 @@ import numpy as np
 from onebend.beam.model import Beam
 from onebend.beam.section import ModulusBand, modulus_band, section_as_dict
 from onebend.beam.stiffness import UncertainStiffness
-from onebend.records import Array, BoolArray, IntArray, Observations, Remark, StatedSection
+from onebend.records import Array, BoolArray, IntArray, Observations, Remark, StatedSection, marker_words
 
 if TYPE_CHECKING:  # the fit itself takes long to load
     pass
@@ -49,7 +49,7 @@ class Comparison:
     @property
     def failed(self) -> bool:
         """Whether another push misses a marker by far more than is likely: the band of k(s) is not to be trusted."""
-        least = np.maximum(SLIGHT * _motion(self), MANY * np.nan_to_num(self.sensor_rms))
+        least = np.maximum(SLIGHT * motion_of(self), MANY * np.nan_to_num(self.sensor_rms))
         return bool(np.any((self.rms > LIKELY * self.likely_rms) & (self.rms > least)))
 
 
@@ -97,28 +97,30 @@ MANY, SLIGHT = 5.0, 0.03  # times the effect of the force's noise; of a marker's
 def poor_fit(one: Comparison, *, other: bool = False) -> tuple[Notice, ...]:
     """A warning if the beam misses a marker by a large part of its motion. `other`: it was not learned from this
     recording."""
-    motion = _motion(one)
+    motion = motion_of(one)
     share = np.nan_to_num(np.divide(one.rms, motion, out=np.zeros_like(motion), where=motion > 0.0))
     worst = int(np.argmax(share))
     if not one.rms[worst] > POOR * motion[worst]:
         return ()
     code = f"tag missed{' by another beam' if other else ''}{' in poses' if one.static else ''}"
-    values = {"tag": int(one.tag_id[worst]), "rms": float(one.rms[worst]), "motion": float(motion[worst])}
+    tag = marker_words(int(one.tag_id[worst]), float(one.marker_s[worst]))
+    values = {"tag": tag, "rms": float(one.rms[worst]), "motion": float(motion[worst])}
     return (Notice(code, values),)
 
 
 def another_beam(one: Comparison) -> tuple[Notice, ...]:
     """A warning if a validation misses a marker by far more than the force's noise explains."""
     ratio = np.divide(one.rms, one.sensor_rms, out=np.zeros_like(one.rms), where=one.sensor_rms > 0.0)
-    unusual = (one.rms > SLIGHT * _motion(one)) & ~(one.rms <= LIKELY * one.likely_rms)
+    unusual = (one.rms > SLIGHT * motion_of(one)) & ~(one.rms <= LIKELY * one.likely_rms)
     ratio = np.where(unusual, ratio, 0.0)
     worst = int(np.argmax(ratio))
     if not ratio[worst] > MANY:
         return ()
-    return (Notice("another beam", {"tag": int(one.tag_id[worst]), "times": float(ratio[worst])}),)
+    tag = marker_words(int(one.tag_id[worst]), float(one.marker_s[worst]))
+    return (Notice("another beam", {"tag": tag, "times": float(ratio[worst])}),)
 
 
-def _motion(one: Comparison) -> Array:
+def motion_of(one: Comparison) -> Array:
     """(m,) m, how far each marker moves."""
     motion = np.linalg.norm(np.fmax.reduce(one.measured) - np.fmin.reduce(one.measured), axis=-1)
     if one.static:  # poses may be few, or alike: counted from the straight beam

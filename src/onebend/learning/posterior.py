@@ -301,8 +301,9 @@ class Posterior:
             doubts.append("the recording contradicts the ideal model")
         if (self.place is not None and self.place.accused) or moved_off(self.layout, self.mean) > FAR:
             doubts.append("the stated place of the push (at_s) is wrong")
-        noises = zip(self.recordings, self.optimum.hyperparameters.noise, strict=True)
-        if any(len(data.tags) < len(data.observations.tag_id) and one.marker > STRAYS for data, one in noises):
+        pairs = zip(self.recordings, self.optimum.hyperparameters.noise, strict=True)
+        noises = [(data.observations, len(data.tags), one.marker) for data, one in pairs]
+        if any(o.sd_known and tags < len(o.tag_id) and marker > STRAYS for o, tags, marker in noises):
             doubts.append("the outline contradicts the fit")
         if worst_off(self.frequencies) > GROSS:
             doubts.append("the frequencies contradict the fit")

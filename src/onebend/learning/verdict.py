@@ -184,7 +184,7 @@ def _heaviest(one: Observations) -> float:
     return 2.0 * max(force, _G * one.stated.mass if np.isfinite(one.stated.mass) else 0.0)
 
 
-def _miss(posterior: Posterior, name: str, tag: int, rms: float, motion: float) -> Notice:
+def _miss(posterior: Posterior, name: str, tag: str, rms: float, motion: float) -> Notice:
     data = [one.observations for one in posterior.recordings]
     forced = any(np.any(one.force != 0.0) for one in data)
     code = "miss: poses" if all(one.static for one in data) else "miss: force" if forced else "miss: weight"

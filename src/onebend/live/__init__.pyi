@@ -17,12 +17,8 @@ from .live import (
     LiveVerdict as LiveVerdict,
 )
 from .played import (
-    Arrival as Arrival,
-    Disturbances as Disturbances,
-    OwnClock as OwnClock,
     PlayedCamera as PlayedCamera,
     PlayedForce as PlayedForce,
-    play as play,
     played_camera as played_camera,
     played_force as played_force,
 )

@@ -15,13 +15,12 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import av
 import numpy as np
 
 from onebend.errors import RecordingError
-from onebend.extras import package
 from onebend.live.sources import Clock, Device, End, Frame, StampTiming, of_yuyv
 from onebend.recording.video import Picture, luma_of
 
@@ -51,20 +50,15 @@ SILENT = 5.0  # s without a picture
 TIMING = StampTiming(host=True, delay=0.0, delay_error=0.03)
 
 
-Stream = Literal["color", "infrared"]
-STREAMS: tuple[Stream, ...] = ("color", "infrared")
-
-
 @dataclass(frozen=True)
 class CameraSettings:
-    """What is asked of a camera. A V4L2 camera gives what is nearest; a RealSense refuses what it cannot give."""
+    """What is asked of a camera, which gives what is nearest."""
 
     width: int = 1280  # px
     height: int = 720
     fps: float = 30.0
     exposure: float = math.nan  # s; NaN: the camera chooses
-    packed: str = "MJPG"  # of V4L2
-    stream: Stream = "color"  # of a RealSense
+    packed: str = "MJPG"
 
 
 class Kernel:
@@ -285,88 +279,3 @@ def _file_at(place: str) -> tuple[Path, ...]:
         return (path,) if path.is_file() else ()
     except (OSError, ValueError):  # no name that a file can have
         return ()
-
-
-# RealSense cameras through `pyrealsense2`. Stamps are the camera's own clock: the software's translation to this
-# machine's time is switched off. The infrared picture is taken with a global shutter.
-
-EXPOSURE_UNITS = {"color": 1e-4, "infrared": 1e-6}  # s, of the option `exposure`
-
-
-class RealSenseCamera(Device):
-    """The camera with this serial number; without one, the first that is found."""
-
-    def __init__(self, serial: str = "", settings: CameraSettings = CameraSettings()) -> None:
-        super().__init__(f"the RealSense camera {serial}".rstrip(), StampTiming(delay=0.01, delay_error=0.03))
-        self._serial, self._settings = serial, settings
-        self._pipeline: Any = None
-
-    def open(self, clock: Clock) -> None:
-        """Begin to stream.
-
-        Raises:
-            RecordingError: the package is missing, there is no such camera, or it has no such stream.
-        """
-        made, asked = package("pyrealsense2", "realsense"), self._settings
-        pipeline, config = made.pipeline(), made.config()
-        if self._serial:
-            config.enable_device(self._serial)
-        size = (asked.width, asked.height)
-        if asked.stream == "infrared":
-            config.enable_stream(made.stream.infrared, 1, *size, made.format.y8, round(asked.fps))
-        else:
-            config.enable_stream(made.stream.color, *size, made.format.yuyv, round(asked.fps))
-        try:
-            profile = pipeline.start(config)
-        except RuntimeError as wrong:
-            raise RecordingError(
-                f"{self.name} gives no {asked.stream} pictures of {asked.width}x{asked.height} at {asked.fps:.0f} Hz "
-                f"({wrong}). Is it plugged in, and does no other program have it? realsense-viewer shows its streams."
-            ) from None
-        self._pipeline = pipeline
-        try:
-            self._set(made, profile)
-        except RuntimeError as wrong:
-            self.close()
-            raise RecordingError(f"{self.name} does not take its settings ({wrong}). Plug it in again.") from None
-        self._begin(clock)
-
-    def read(self, wait: float) -> Frame | End | None:
-        try:
-            came, frames = self._pipeline.try_wait_for_frames(max(1, round(1000.0 * wait)))
-            now = self._clock.now()
-            if not came:
-                return self._silence(SILENT, "sends no pictures any more")
-            infrared = self._settings.stream == "infrared"
-            frame = frames.get_infrared_frame(1) if infrared else frames.get_color_frame()
-            if not frame:
-                return None
-            data = np.asanyarray(frame.get_data())
-            stamp, number = 1e-3 * float(frame.get_timestamp()), int(frame.get_frame_number())
-        except RuntimeError as wrong:
-            return self._fault(f"is gone ({wrong}): its cable was pulled")
-        self._heard = now
-        if infrared:
-            return Frame(data.copy(), stamp, now, number)
-        luma, colour = of_yuyv(np.ascontiguousarray(data).view(np.uint8).reshape(*data.shape[:2], 2))
-        return Frame(luma, stamp, now, number, colour)
-
-    def close(self) -> None:
-        if self._pipeline is not None:
-            with suppress(RuntimeError):  # it is gone
-                self._pipeline.stop()
-            self._pipeline = None
-
-    def _set(self, made: Any, profile: Any) -> None:
-        """Its own clock, no pattern of its projector over the tags, and the exposure, of the sensors that have them."""
-        asked = self._settings
-        stream = made.stream.infrared if asked.stream == "infrared" else made.stream.color
-        for sensor in profile.get_device().query_sensors():
-            mine = any(one.stream_type() == stream for one in sensor.get_stream_profiles())
-            wanted = {made.option.global_time_enabled: 0.0, made.option.emitter_enabled: 0.0}
-            if mine and asked.exposure > 0.0:
-                wanted[made.option.enable_auto_exposure] = 0.0
-                wanted[made.option.exposure] = max(1.0, round(asked.exposure / EXPOSURE_UNITS[asked.stream]))
-            for option, value in wanted.items():
-                if sensor.supports(option):
-                    sensor.set_option(option, value)

@@ -25,9 +25,6 @@ from scipy.spatial.transform import Rotation
 from onebend.errors import RecordingError
 from onebend.extras import Extra, package
 from onebend.live.sources import Clock, Device, End, Samples, StampTiming
-from onebend.recording.bag_topics import FIELDS, clock_of, default_field, force_of, timed
-from onebend.recording.bags import Bag, Topic, open_bag, topic_of
-from onebend.recording.entries import ForceEntry
 from onebend.records import Array
 
 POUND, KILOPOND = 4.4482216152605, 9.80665  # N
@@ -491,10 +488,9 @@ class GrowingLog(_Lines):
         return [name for name in SEPARATORS.split(line.strip()) if name]
 
 
-# What their makers' own packages read: Universal Robots, Franka, the Lab Streaming Layer.
+# What their makers' own packages read: Universal Robots, Franka.
 
 TOGETHER = 0.01  # s of rows that are given together
-PATIENCE = 5.0  # s to find a stream
 SILENT_PACKAGE = 3.0  # s without a row
 
 
@@ -597,128 +593,3 @@ class FrankaForce(_Robot):
         pose = np.asarray(state.O_T_EE, dtype=float).reshape(4, 4).T  # it comes column by column
         turned = Rotation.from_matrix(pose[:3, :3]).as_rotvec()
         return float(state.time.to_sec()), [*state.O_F_ext_hat_K, *pose[:3, 3], *turned]
-
-
-class LslForce(Device):
-    """A stream of the Lab Streaming Layer, by its name, through `pylsl`."""
-
-    def __init__(self, stream: str, cells: Cells) -> None:
-        """`cells`: its channels, in order."""
-        super().__init__(f"the stream {stream}", StampTiming(delay=0.0005, delay_error=0.01))
-        self.columns, self._stream, self._cells = cells.columns, stream, cells
-        self._inlet: Any = None
-
-    def open(self, clock: Clock) -> None:
-        """Find the stream, and listen.
-
-        Raises:
-            RecordingError: the package is missing, there is no such stream, or it has other channels.
-        """
-        made = package("pylsl", "lsl")
-        found = made.resolve_byprop("name", self._stream, 1, PATIENCE)
-        if not found:
-            raise RecordingError(
-                f"lsl:{self._stream}: no such stream is on this network. Start it, or correct its name."
-            )
-        count = int(found[0].channel_count())
-        if count != self._cells.count:
-            raise RecordingError(
-                f"{self.name} has {count} channels, and columns names {self._cells.count}. Name each, in order; _ for "
-                "one that is left out."
-            )
-        self._inlet = made.StreamInlet(found[0], recover=False)
-        self._inlet.open_stream(PATIENCE)
-        self._begin(clock)
-
-    def read(self, wait: float) -> Samples | End | None:
-        try:
-            rows, stamps = self._inlet.pull_chunk(timeout=min(wait, TOGETHER))
-        except Exception as wrong:  # a LostError, of the package
-            return self._fault(f"ended ({type(wrong).__name__})")
-        if not len(stamps):
-            return self._silence(SILENT_PACKAGE, "sends nothing")
-        self._heard = self._clock.now()
-        place, scale = list(self._cells.place), np.array(self._cells.scale)
-        force = np.where(np.array(place) < 0, 0.0, np.asarray(rows, dtype=float)[:, place] * scale)
-        return Samples(np.array(stamps, dtype=float), force, self._heard)
-
-    def close(self) -> None:
-        if self._inlet is not None:
-            self._inlet.close_stream()
-            self._inlet = None
-
-
-# A ROS bag that a robot is writing. Each look reads the whole bag and takes what is new, so looks are farther apart the
-# longer it grows. Messages that the recorder still holds back are not seen.
-
-EVERY, SHARE = 0.5, 4.0  # s between two looks, and times what the last one took
-SILENT_TOPIC = 30.0  # s without a message
-
-
-class GrowingBag(Device):
-    """The force in a bag that grows."""
-
-    columns: tuple[str, ...] = ("fx_N", "fy_N", "fz_N")
-
-    def __init__(self, path: Path, topic: str = "", field: str = "") -> None:
-        """`topic`: empty: the only one whose force is known; `field`: where the force stands in its messages."""
-        super().__init__(f"the bag {path}", StampTiming(delay=0.01, delay_error=0.5))  # recorders hold back messages
-        self._path, self.files = path, (path,)
-        self._entry = ForceEntry(path, topic=topic, field=field, damaged="keep")
-        self._seen, self._due = 0, -np.inf
-
-    def open(self, clock: Clock) -> None:
-        """Find the topic; what is in the bag already is left out.
-
-        Raises:
-            RecordingError: there is no bag yet, or no such topic in it.
-        """
-        bag = open_bag(self._path, keep=True)
-        topic = self._topic(bag)
-        default = self._entry.field or default_field(topic, self._entry)
-        self._entry = ForceEntry(self._path, topic=topic.channel.topic, field=default, damaged="keep")
-        self._seen = len(self._rows()[0])
-        self._begin(clock)
-
-    def read(self, wait: float) -> Samples | End | None:
-        begun = self._clock.now()
-        if begun < self._due:
-            self._clock.wait_until(min(self._due, begun + wait))
-            return None
-        try:
-            time, force = self._rows()
-        except (RecordingError, OSError) as wrong:
-            return self._fault(f"cannot be read any more ({wrong})")
-        now = self._clock.now()
-        self._due = now + max(EVERY, SHARE * (now - begun))
-        if len(time) <= self._seen:
-            return self._silence(SILENT_TOPIC, "does not grow any more")
-        new = slice(self._seen, None)
-        self._seen, self._heard = len(time), now
-        return Samples(time[new], force[new], begun)
-
-    def close(self) -> None:
-        """Nothing is held between two looks."""
-
-    def _topic(self, bag: Bag) -> Topic:
-        if self._entry.topic:
-            return topic_of(bag, self._entry.topic, "topic")
-        known = [topic for topic in bag.topics.values() if topic.channel.type in FIELDS]
-        if len(known) != 1:
-            names = ", ".join(topic.channel.topic for topic in known or bag.topics.values()) or "none yet"
-            raise RecordingError(f"bag:{self._path}: say which topic holds the force, topic=/NAME. It has {names}.")
-        return known[0]
-
-    def _rows(self) -> tuple[np.ndarray, np.ndarray]:
-        """(N,) s and (N, 3) N of all messages so far, in the order of the bag."""
-        bag = open_bag(self._path, keep=True)
-        topic = topic_of(bag, self._entry.topic, "topic")
-        if not topic.count:
-            return np.empty(0), np.empty((0, 3))
-        clock = clock_of(bag, topic, None)
-        where = f"{self._path}: {topic.channel.topic}"
-        rows = [
-            (time, *force_of(message, self._entry.field, where)[0]) for time, message in timed(bag, topic, clock, None)
-        ]
-        read = np.array(rows).reshape(-1, 4)
-        return read[:, 0], read[:, 1:]

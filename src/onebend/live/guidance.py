@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, Protocol, get_args
@@ -92,7 +92,6 @@ class CaptureState:
     largest: float = math.nan  # of these so far
     stiffness: UncertainStiffness | None = None  # k(s) with its band
     half_width: float = math.nan  # of the band of k(s), as a share: 0.05 is 5 %
-    wider: str = ""  # why the band is wider than it was; empty where it is not
     until: float = math.nan  # the half width that is wanted
     seconds: float = 0.0  # of film
     frames: int = 0  # in the film
@@ -104,7 +103,6 @@ class CaptureState:
     bytes: int = 0  # of film and log
     disk_left: float = math.nan  # bytes
     live: LiveState | None = None  # tags, clock, verdict in full
-    next_push: str = ""  # where another one is wanted: which would narrow the band most
 
 
 @dataclass(frozen=True)
@@ -157,42 +155,6 @@ def outcome_data(outcome: CaptureOutcome) -> dict[str, object]:
         "half_width": state.half_width,
         "remarks": list(outcome.remarks),
     }
-
-
-# Why the band of k(s) is wider than it was: it is compared with the narrowest that there was.
-
-WIDER = 1.15  # times as wide
-GREW = 1.25  # times as large: what the width follows from
-_WIDENS = {"tags": "wider: tags", "force": "wider: force", "drift": "wider: drift", "load": "wider: load"}
-_MOST_NAMED = 2
-
-
-class Widening:
-    """The narrowest band so far, and what its width followed from."""
-
-    def __init__(self) -> None:
-        self._width, self._known, self._sizes = math.inf, 0.0, dict[str, float]()
-
-    def why(self, width: float, known: float, sizes: Mapping[str, float]) -> str:
-        """Why a band of this half width is wider than the narrowest; empty where it is not.
-
-        Args:
-            width: NaN: k(s) is not known anywhere.
-            known: the share of the beam where k(s) is identified.
-            sizes: as `OnlineLearner.sizes`.
-        """
-        if math.isnan(width):
-            return ""
-        if width <= WIDER * self._width:
-            if width <= self._width:
-                self._width, self._known, self._sizes = width, known, dict(sizes)
-            return ""
-        grown = {name: sizes[name] / one for name, one in self._sizes.items() if one > 0.0 and name in sizes}
-        named = sorted((name for name, ratio in grown.items() if ratio > GREW), key=lambda name: -grown[name])
-        whys = [say(_WIDENS[name], ratio=grown[name]) for name in named[:_MOST_NAMED]]
-        if known > GREW * self._known:
-            whys.append(say("wider: places", known=known))
-        return say("wider", before=self._width, why="; ".join(whys or [say("wider: review")]))
 
 
 MOVED_SD = 8.0  # of a tag's place: farther from its rest than this,
@@ -350,7 +312,7 @@ def _mean(places: list[Array]) -> Array | None:
     return np.asarray(np.where(count > 0, np.nansum(stacked, axis=0) / np.maximum(count, 1), np.nan))
 
 
-def stage_advice(stages: Stages, settings: CaptureSettings, half_width: float, next_push: str = "") -> list[str]:
+def stage_advice(stages: Stages, settings: CaptureSettings, half_width: float) -> list[str]:
     """What to do in this stage, the most urgent first."""
     stage, left = stages.stage, max(settings.rest - stages.rested, 0.0)
     if stage in ("tare", "first rest"):
@@ -363,7 +325,7 @@ def stage_advice(stages: Stages, settings: CaptureSettings, half_width: float, n
         if left > 0.0:
             return [say("record: last rest", left=left)]
         code = "record: again" if math.isfinite(half_width) else "record: farther"
-        return [say(code, band=half_width, wanted=settings.until), *([next_push] if next_push else [])]
+        return [say(code, band=half_width, wanted=settings.until)]
     return []
 
 

@@ -7,7 +7,6 @@ do not grow.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -614,18 +613,6 @@ class OnlineLearner:
     def hyperparameters(self) -> LiveHyperparameters:
         """Sizes of the tags' noise and of the force error, as they are now."""
         return self._state.hyperparameters
-
-    @property
-    def sizes(self) -> dict[str, float]:
-        """What the width of the band follows from, beside the frames: the tags' misfit or noise, whichever is larger
-        and counts as noise, and the parts of the force error."""
-        found = self._state.hyperparameters
-        return {
-            "tags": max(found.marker, self._state.misfit),
-            "force": math.hypot(found.coloured, found.white),
-            "drift": found.walk,
-            "load": found.load,
-        }
 
     @property
     @one_blas_thread

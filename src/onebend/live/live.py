@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import median
@@ -216,7 +215,6 @@ class LiveState:
     verdict: LiveVerdict
     waiting: tuple[str, ...]  # what is not known yet, and why
     remarks: tuple[Remark, ...]  # of the last review, as `learn` makes them
-    sizes: Mapping[str, float] = field(default_factory=dict)  # as `OnlineLearner.sizes`; empty where there is no k(s)
 
 
 def live_verdict(
@@ -452,7 +450,6 @@ class Live:
             verdict=live_verdict(stiffness, known, why, () if learning is None else learning.doubts),
             waiting=tuple(waiting),
             remarks=known.remarks,
-            sizes={} if learning is None else learning.learner.sizes,
         )
 
     def finish(self, *, fitting: FitSettings = FitSettings(), progress: Progress = Silent()) -> Run:

@@ -6,90 +6,26 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from onebend.errors import ObservationError, OnebendError, RecordingError
-from onebend.learning.design import plan
-from onebend.learning.instruments import instruments_of
 from onebend.live import guidance
 from onebend.live.guidance import CaptureOutcome, CaptureSettings, CaptureState, Stages, Stop, TagView
-from onebend.live.live import Live, seen_by
+from onebend.live.live import Live
 from onebend.live.recording_folder import FilmWriter, Logs, Pump, RecordingPlaces, places_for, room_left, state_start
-from onebend.live.review import Seen, observed_in
 from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame, HostClock, Samples, files_of, measurable
-from onebend.pipeline import learn_observed
-from onebend.progress import end_now, interrupts_held, leave_interrupts_to_parent
 from onebend.recording.entries import Recording
-from onebend.recording.observe import ObserveSettings
 from onebend.recording.pairing import read_log
 from onebend.recording.tags import Tracker
 from onebend.recording.video import Picture
 from onebend.records import Array
 from onebend.report.confidence import identified_ranges, typical_half_width
-from onebend.report.sentences import say, words
-
-# Which push to make next, from all that was recorded so far: fitted and planned by a process beside this one.
-
-
-def next_push_words(seen: Seen, observing: ObserveSettings = ObserveSettings()) -> str:
-    """The push that would leave the narrowest band without anything new on the bench, in words; else why none."""
-    try:
-        posterior = learn_observed(observed_in(seen, observing)).posterior
-        assert posterior is not None  # it was asked for
-        found = plan(posterior.stiffness, posterior.beam, instruments_of(posterior))
-    except OnebendError as wrong:
-        return f"what the next push should be is not known: {wrong}"
-    free = [one for one in found.proposals if not one.needs]
-    return words(free[0].notice) if free else "no push on this bench would narrow the band much"
-
-
-class NextPush:
-    """Asks for it, and looks whether it is known."""
-
-    def __init__(self, *, beside: bool = True) -> None:
-        """`beside`: False: the question is answered at once, which takes some seconds."""
-        self._beside = beside
-        self._pool: ProcessPoolExecutor | None = None
-        self._coming: Future[str] | None = None
-        self._words = ""
-
-    @property
-    def words(self) -> str:
-        """The answer to the last question; empty where there is none yet."""
-        if self._coming is not None and self._coming.done():
-            try:
-                self._words = self._coming.result()
-            except Exception as wrong:  # the process was ended
-                self._words = f"what the next push should be is not known: {type(wrong).__name__}"
-            self._coming = None
-        return self._words
-
-    def ask(self, seen: Seen, observing: ObserveSettings) -> None:
-        """From what was seen so far; a question that is under way goes on."""
-        if self._coming is not None:
-            return
-        self._words = ""
-        if not self._beside:
-            self._words = next_push_words(seen, observing)
-            return
-        if self._pool is None:
-            context = get_context("spawn")
-            self._pool = ProcessPoolExecutor(1, mp_context=context, initializer=leave_interrupts_to_parent)
-        with interrupts_held():
-            self._coming = self._pool.submit(next_push_words, seen, observing)
-
-    def close(self) -> None:
-        if self._pool is not None:
-            end_now(self._pool)
-        self._pool = None
-
+from onebend.report.sentences import say
 
 # What follows a recording while it is made: the tags of each picture, and k(s).
 
@@ -103,8 +39,6 @@ class Follower:
         ids = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
         self._tracker = Tracker(ids, rec.tags.family)
         self._live: Live | None = None
-        self._widening = guidance.Widening()
-        self._next = NextPush(beside=settings.live_beside)
 
     def look(self, frame: Frame) -> tuple[tuple[TagView, ...], list[str]]:
         """The tags of a picture before the film begins, and what is to be better."""
@@ -142,27 +76,15 @@ class Follower:
             self._live.force(time, force, place)
 
     def known(self) -> dict[str, Any]:
-        """Of `CaptureState`: k(s), its half width, why it is wider than it was, and all that `Live` says."""
+        """Of `CaptureState`: k(s), its half width, and all that `Live` says."""
         if self._live is None:
             return {}
         state, width = self._live.state(), math.nan
-        ranges = [] if state.stiffness is None else identified_ranges(state.stiffness)
-        if state.stiffness is not None and ranges:
+        if state.stiffness is not None and identified_ranges(state.stiffness):
             width = float(np.expm1(typical_half_width(state.stiffness)))
-        wider = self._widening.why(width, sum(end - begin for begin, end in ranges), state.sizes)
-        return {"live": state, "stiffness": state.stiffness, "half_width": width, "wider": wider}
-
-    def plan(self) -> None:
-        if self._live is not None:
-            self._next.ask(seen_by(self._live), self._settings.live.observing)
-
-    @property
-    def next_push(self) -> str:
-        """What the next push should be; empty where that was not asked, or is not known yet."""
-        return self._next.words
+        return {"live": state, "stiffness": state.stiffness, "half_width": width}
 
     def close(self) -> None:
-        self._next.close()
         if self._live is not None:
             self._live.close()
 
@@ -241,7 +163,6 @@ class _Session:
         self._why, self._fault = "", False
         self._force_end = ""
         self._followed = -math.inf  # s, this machine's clock: when a picture was searched for tags
-        self._planned = False  # the next push is asked for, in this rest
 
     def run(self, stop: Stop, begin: Stop) -> CaptureOutcome:
         try:
@@ -386,15 +307,10 @@ class _Session:
                 state = replace(state, **self._follower.known())
             rested = stages.stage == "last rest" and stages.rested >= settings.rest
             enough = math.isnan(settings.until) or state.half_width <= settings.until
-            if rested and not enough and not self._planned:
-                self._follower.plan()
-            self._planned = rested
-            next_push = self._follower.next_push if rested else ""
             state = replace(
                 state,
                 stage="done" if rested and enough else stages.stage,
-                advice=tuple(guidance.stage_advice(stages, settings, state.half_width, next_push)),
-                next_push=next_push,
+                advice=tuple(guidance.stage_advice(stages, settings, state.half_width)),
                 displacement=stages.displacement,
                 largest=stages.largest,
                 tare=stages.tare,

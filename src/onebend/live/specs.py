@@ -6,12 +6,12 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar, cast
+from typing import Generic, TypeVar
 
 from onebend.errors import RecordingError
 from onebend.live import force_sensors
-from onebend.live.cameras import PACKED, STREAMS, AvCamera, CameraSettings, RealSenseCamera, Stream, V4l2Camera
-from onebend.live.played import Disturbances, OwnClock, played_camera, played_force
+from onebend.live.cameras import PACKED, AvCamera, CameraSettings, V4l2Camera
+from onebend.live.played import played_camera, played_force
 from onebend.live.sources import CameraSource, ForceSource
 from onebend.text_files import QUOTED
 
@@ -31,11 +31,10 @@ class SourceKind(Generic[Made]):
     make: Callable[[str, Options], Made]
 
 
-MOST_LATE, MOST_DRIFT = 60_000.0, 100_000.0  # ms and ppm, of what is played
-MOST_SEED, MOST_START, MOST_COUNTS = 2**53, 1e12, 1e12
+LONGEST_EXPOSURE = 60_000.0  # ms
+MOST_START, MOST_COUNTS = 1e12, 1e12
 MOST_SIDE = MOST_PORT = 65_535  # px, and of a port
 MOST_RATE, MOST_FPS = 1e6, 100_000.0  # Hz
-_ON_THE_WAY = ("lost", "late", "jitter_ms", "drift_ppm", "seed")
 
 
 def camera_of(spec: str) -> CameraSource:
@@ -94,28 +93,9 @@ def made(spec: str, kinds: Mapping[str, SourceKind[Made]], option: str) -> Made:
     return kinds[kind].make(place, options)
 
 
-def _on_the_way(options: Options) -> dict[str, Any]:
-    """What happens to frames or samples that are played, as arguments of `played_camera` and `played_force`."""
-    lost, late = (number(options, key, 0.0, least=0.0, most=1.0) for key in ("lost", "late"))
-    jitter = 1e-3 * number(options, "jitter_ms", 0.0, least=0.0, most=MOST_LATE)
-    drift = 1e-6 * number(options, "drift_ppm", 0.0, least=-MOST_DRIFT, most=MOST_DRIFT)
-    return {
-        "disturbances": Disturbances(
-            frames_lost=lost,
-            frames_late=late,
-            frame_jitter=jitter,
-            samples_lost=lost,
-            samples_late=late,
-            sample_jitter=jitter,
-        ),
-        "own": OwnClock(drift=drift, late=jitter),
-        "seed": int(number(options, "seed", 0, least=0, most=MOST_SEED)),
-    }
-
-
 def _log(place: str, options: Options) -> ForceSource:
     start = number(options, "start_s", math.nan, least=-MOST_START, most=MOST_START)
-    return played_force(Path(place), start=start, **_on_the_way(options))
+    return played_force(Path(place), start=start)
 
 
 def _ati(place: str, options: Options) -> ForceSource:
@@ -133,21 +113,12 @@ def _names(options: Options, key: str) -> list[str]:
     return [name for name in options.get(key, "").split("/") if name]
 
 
-def _cells(where: str, options: Options, wanted: str) -> force_sensors.Cells:
-    if "columns" not in options:
-        raise RecordingError(f"{where}: say {wanted}. {force_sensors.KNOWN}.")
-    return force_sensors.cells_of(_names(options, "columns"), _names(options, "zero"), where=where)
-
-
 def _serial(place: str, options: Options) -> ForceSource:
-    cells = _cells(f"serial:{place}", options, "what a line holds, as columns=time_ms/fx_N/fy_N")
+    where = f"serial:{place}"
+    if "columns" not in options:
+        raise RecordingError(f"{where}: say what a line holds, as columns=time_ms/fx_N/fy_N. {force_sensors.KNOWN}.")
+    cells = force_sensors.cells_of(_names(options, "columns"), _names(options, "zero"), where=where)
     return force_sensors.SerialForce(Path(place), cells, baud=int(number(options, "baud", 115200, least=50, most=1e8)))
-
-
-def _lsl(place: str, options: Options) -> ForceSource:
-    return force_sensors.LslForce(
-        place, _cells(f"lsl:{place}", options, "what its channels are, as columns=fx_N/fy_N/_")
-    )
 
 
 def _size(options: Options, default: str) -> tuple[int, int]:
@@ -158,16 +129,15 @@ def _size(options: Options, default: str) -> tuple[int, int]:
     return sides[0], sides[1]
 
 
-def _camera(options: Options, *, least_fps: float) -> CameraSettings:
+def _v4l2(place: str, options: Options) -> CameraSource:
     asked = CameraSettings()
     width, height = _size(options, f"{asked.width}x{asked.height}")
-    packed, stream = options.get("packed", asked.packed), options.get("stream", asked.stream)
-    for key, value, known in (("packed", packed, PACKED), ("stream", stream, STREAMS)):
-        if value not in known:
-            raise RecordingError(f"{key}={value}: take one of {', '.join(known)}.")
-    fps = number(options, "fps", asked.fps, least=least_fps, most=MOST_FPS)
-    exposure = 1e-3 * number(options, "exposure_ms", math.nan, least=0.01, most=MOST_LATE)
-    return CameraSettings(width, height, fps, exposure, packed, cast(Stream, stream))
+    packed = options.get("packed", asked.packed)
+    if packed not in PACKED:
+        raise RecordingError(f"packed={packed}: take one of {', '.join(PACKED)}.")
+    fps = number(options, "fps", asked.fps, least=0.1, most=MOST_FPS)
+    exposure = 1e-3 * number(options, "exposure_ms", math.nan, least=0.01, most=LONGEST_EXPOSURE)
+    return V4l2Camera(Path(place), CameraSettings(width, height, fps, exposure, packed))
 
 
 CAMERAS: dict[str, SourceKind[CameraSource]] = {
@@ -175,13 +145,7 @@ CAMERAS: dict[str, SourceKind[CameraSource]] = {
         "/dev/video0",
         "a camera of Linux, with the kernel's stamps",
         ("size", "fps", "packed", "exposure_ms"),
-        lambda place, options: V4l2Camera(Path(place), _camera(options, least_fps=0.1)),
-    ),
-    "realsense": SourceKind(
-        "realsense:any",
-        "a RealSense camera, or its serial number for `any` (pip install 'onebend[realsense]')",
-        ("stream", "size", "fps", "exposure_ms"),
-        lambda place, options: RealSenseCamera("" if place == "any" else place, _camera(options, least_fps=1.0)),
+        _v4l2,
     ),
     "av": SourceKind(
         "av:PLACE,format=NAME",
@@ -194,8 +158,8 @@ CAMERAS: dict[str, SourceKind[CameraSource]] = {
     "film": SourceKind(
         "film:REC",
         "a film, or a recording's, played at its own pace",
-        _ON_THE_WAY,
-        lambda place, options: played_camera(Path(place), **_on_the_way(options)),
+        (),
+        lambda place, _: played_camera(Path(place)),
     ),
 }
 FORCES: dict[str, SourceKind[ForceSource]] = {
@@ -225,20 +189,6 @@ FORCES: dict[str, SourceKind[ForceSource]] = {
         (),
         lambda place, _: force_sensors.FrankaForce(place),
     ),
-    "lsl": SourceKind(
-        "lsl:NAME,columns=fx_N/fy_N",
-        "a stream of the Lab Streaming Layer (pip install 'onebend[lsl]')",
-        ("columns", "zero"),
-        _lsl,
-    ),
-    "bag": SourceKind(
-        "bag:PATH",
-        "a ROS bag that is being written",
-        ("topic", "field"),
-        lambda place, options: force_sensors.GrowingBag(
-            Path(place), options.get("topic", ""), options.get("field", "")
-        ),
-    ),
     "csv": SourceKind(
         "csv:log.csv",
         "a CSV file that another program is writing",
@@ -247,7 +197,5 @@ FORCES: dict[str, SourceKind[ForceSource]] = {
             Path(place), _names(options, "columns"), _names(options, "zero")
         ),
     ),
-    "log": SourceKind(
-        "log:REC", "a force log, or a recording's, played at its own pace", (*_ON_THE_WAY, "start_s"), _log
-    ),
+    "log": SourceKind("log:REC", "a force log, or a recording's, played at its own pace", ("start_s",), _log),
 }

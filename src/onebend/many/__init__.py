@@ -7,7 +7,7 @@ from onebend.wings import Place
 COMMANDS = {
     "batch": Place(
         "onebend.many.commands:batch",
-        "Learn k(s) of each of many recordings, on all cores or a cluster; an interrupted run continues.",
+        "Learn k(s) of each of many recordings, on all cores; an interrupted run continues.",
         "out/stems -o out/stems-learned",
         "onebend film linear --markers -o out/stems/dry/stem-1",
         group="Many",

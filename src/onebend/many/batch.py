@@ -6,110 +6,26 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import quote
 
 import numpy as np
 import pyarrow as pa
-from scipy.special import ndtri
 
 from onebend.errors import RecordingError, ResultsError
-from onebend.extras import require
-from onebend.files.publish import SUMMARY, check_place, enter, with_checksum
+from onebend.files.publish import SUMMARY, check_place, enter, finish, with_checksum
 from onebend.files.single_file import as_parquet, write_file
 from onebend.many import tasks
 from onebend.progress import Progress, Silent, track
-from onebend.recording.signals import MAD_TO_SD
 from onebend.records import Array
 from onebend.report.page import render
 from onebend.report.wording import UNKNOWN, significant
 from onebend.text_files import is_number, one_line, quoted, to_json
-
-# Outliers within groups, by robust scores of level and shape of k(s).
-
-FEWEST = 5  # recordings of a group, for a spread
-FALSE_ALARMS = 0.025  # share of groups without a difference that name one, per score
-# The largest score of a normal group of that size, at 1 - FALSE_ALARMS (simulated: tests/many/test_outliers.py). Small
-# groups have large scores, as their median absolute deviation varies.
-NUMBERS = (5, 6, 7, 8, 9, 10, 11, 12, 15, 20, 25, 30, 50, 100, 200, 1000)
-LIMITS = (11.3, 7.2, 7.6, 6.1, 6.3, 5.5, 5.6, 5.2, 4.95, 4.5, 4.4, 4.25, 4.06, 3.98, 4.02, 4.25)
-
-
-@dataclass(frozen=True)
-class Scores:
-    """Distances from the group's median in robust sds; NaN: too few others."""
-
-    level: Array  # (N,) of the weighted mean of log k
-    shape: Array  # (N,) weighted RMS of log k less its mean against the median shape; not negative
-    reasons: tuple[str, ...]  # N; empty: no outlier
-
-
-def scores(log_k: Array, covariance: Array, groups: Sequence[str]) -> Scores:
-    """From log k (N, S) at S places (NaN if not learned), its covariance (N, S, S), and the groups (N).
-
-    A recording's own sd is the smallest scale: within its band it is no outlier.
-    """
-    level, shape = np.full(len(log_k), np.nan), np.full(len(log_k), np.nan)
-    reasons = [""] * len(log_k)
-    for group in sorted(set(groups)):
-        rows = [i for i, one in enumerate(groups) if one == group and np.isfinite(log_k[i]).all()]
-        if len(rows) < FEWEST:
-            continue
-        weight = 1.0 / np.median(np.diagonal(covariance[rows], axis1=1, axis2=2), axis=0)
-        weight /= weight.sum()
-        mean = log_k[rows] @ weight
-        level[rows] = (mean - np.median(mean)) / np.maximum(_spread(mean), _own_sd(covariance[rows], weight))
-        off = log_k[rows] - mean[:, None]
-        off -= np.median(off, axis=0)
-        far = np.sqrt(off**2 @ weight)
-        shape[rows] = far / np.maximum(MAD_TO_SD * np.median(far), _own_shape_sd(covariance[rows], weight))
-        limit = limit_of(len(rows))
-        for row, one, less in zip(rows, off * np.sqrt(weight), mean - np.median(mean), strict=True):
-            at = int(np.argmax(np.abs(one)))
-            there = (at / (len(one) - 1), float(one[at] / np.sqrt(weight[at])))
-            reasons[row] = _reason(float(level[row]), float(shape[row]), there, float(less), limit)
-    return Scores(level, shape, tuple(reasons))
-
-
-def _own_sd(covariance: Array, weight: Array) -> Array:
-    """(N,) sd of the weighted mean of log k."""
-    return np.asarray(np.sqrt(np.einsum("s,nst,t->n", weight, covariance, weight)))
-
-
-def _own_shape_sd(covariance: Array, weight: Array) -> Array:
-    """(N,) weighted RMS sd of log k less its mean."""
-    whole = np.diagonal(covariance, axis1=1, axis2=2) @ weight
-    return np.asarray(np.sqrt(np.maximum(whole - _own_sd(covariance, weight) ** 2, 0.0)))
-
-
-def limit_of(count: int) -> float:
-    """The score beyond which a recording of a group of `count` is named. Shapes vary in several ways and alarm less
-    often."""
-    if count > NUMBERS[-1]:  # the spread is known: Bonferroni
-        return float(ndtri(1.0 - FALSE_ALARMS / (2 * count)))
-    return float(np.interp(np.log(count), np.log(NUMBERS), LIMITS))
-
-
-def _spread(values: Array) -> float:
-    return max(MAD_TO_SD * float(np.median(np.abs(values - np.median(values)))), 1e-12)
-
-
-def _reason(level: float, shape: float, there: tuple[float, float], less: float, limit: float) -> str:
-    """In words; `there`: s of the largest deviation of shape, and log k there."""
-    said = []
-    if abs(level) > limit:
-        said.append(f"k is {np.exp(less):.2g} times the group's median ({abs(level):.2g} robust sd)")
-    if shape > limit:
-        where = f"at s = {there[0]:.2g} ({shape:.2g} robust sd)"
-        said.append(f"the shape of k(s) is {np.exp(there[1]):.2g} times the group's {where}")
-    return "; ".join(said)
-
 
 # The outcome of a batch.
 
@@ -121,7 +37,6 @@ class BatchOutcome:
     out: Path
     items: tuple[tasks.Item, ...]
     records: tuple[tasks.Record, ...]
-    scores: Scores
     learned_now: int  # learned in this run
 
     @property
@@ -140,24 +55,6 @@ class BatchOutcome:
         """Names of the learned recordings that `onebend learn` would doubt, each with the doubts."""
         return tuple((name, "; ".join(one.doubts) or NOWHERE) for name, one in self.learned if one.in_doubt)
 
-    @property
-    def outliers(self) -> tuple[tuple[tasks.Item, str], ...]:
-        """With reasons."""
-        return tuple((item, why) for item, why in zip(self.items, self.scores.reasons, strict=True) if why)
-
-
-def outcome_of(
-    out: Path, items: Sequence[tasks.Item], records: Sequence[tasks.Record], learned_now: int
-) -> BatchOutcome:
-    """Records and their scores."""
-    count = len(tasks.PLACES[:: tasks.EVERY])
-    log_k, covariance = np.full((len(records), count), np.nan), np.full((len(records), count, count), np.nan)
-    for i, one in enumerate(records):
-        if one.k is not None and one.covariance is not None:
-            log_k[i], covariance[i] = np.log(one.k[:: tasks.EVERY]), one.covariance
-    found = scores(log_k, covariance, [item.group for item in items])
-    return BatchOutcome(out, tuple(items), tuple(records), found, learned_now)
-
 
 BATCH_FORMAT = "onebend-batch-1"
 MARKER = "batch.json"  # marks a batch's results folder
@@ -167,28 +64,20 @@ def run_batch(
     source: Path | str,
     out: Path | str,
     *,
-    scheduler: str | None = None,
     workers: int | None = None,
-    processes: bool = True,
     folders: bool = False,
     progress: Progress = Silent(),
-    began: Callable[[str], None] = lambda _: None,
 ) -> BatchOutcome:
     """Learns each recording of `source` (a folder or a CSV) into `out`.
 
     Args:
-        scheduler: address of a Dask scheduler whose workers see all folders under the same paths; None: a local one.
-        workers: local workers; None: one per core.
-        processes: whether these are processes.
+        workers: processes; None: one per core.
         folders: also write a results folder per recording.
-        began: called with the link of the cluster's page ("": none).
 
     Raises:
         RecordingError: the list cannot be used.
-        MissingPackageError: Dask is not installed.
-        ResultsError: `out` holds something else, is being written, or the scheduler is lost.
+        ResultsError: `out` holds something else, or is being written.
     """
-    require(("dask", "distributed"), "batch")
     target = Path(os.path.realpath(out))
     items = tasks.items_of(Path(source), target)
     if folders:
@@ -199,16 +88,14 @@ def run_batch(
     try:
         _take(target)
         settings = tasks.TaskSettings(target, version("onebend"), folders)
-        with tasks.cluster(scheduler, workers, processes=processes) as client:
-            began(str(client.dashboard_link or "") if find_spec("bokeh") else "")
-            results = _all(client, items, settings, progress)
+        results = _all(items, settings, workers, progress)
         for left in (target / tasks.RECORDS).glob(".*.json"):
             with suppress(OSError):
                 left.unlink()  # of lost workers
     finally:
-        place.remove()
+        finish(place)
     records = [_record(target, item, result) for item, result in zip(items, results, strict=True)]
-    return outcome_of(target, items, records, sum(one.learned_now for one in results))
+    return BatchOutcome(target, items, tuple(records), sum(one.learned_now for one in results))
 
 
 def _take(out: Path) -> None:
@@ -222,11 +109,11 @@ def _take(out: Path) -> None:
 
 
 def _all(
-    client: Any, items: Sequence[tasks.Item], settings: tasks.TaskSettings, progress: Progress
+    items: Sequence[tasks.Item], settings: tasks.TaskSettings, workers: int | None, progress: Progress
 ) -> list[tasks.ItemResult]:
     found: dict[int, tasks.ItemResult] = {}
     try:
-        for i, result in track(progress, "Recordings", tasks.results_of(client, items, settings), len(items)):
+        for i, result in track(progress, "Recordings", tasks.results_of(items, settings, workers), len(items)):
             found[i] = result
     except BaseException as error:
         error.add_note(
@@ -242,10 +129,7 @@ def _record(out: Path, item: tasks.Item, result: tasks.ItemResult) -> tasks.Reco
         return tasks.Record(hash="", reason=result.reason)
     record = tasks.read_record(out, result.hash)
     if record is None:
-        raise ResultsError(
-            f"{out}: the record of {item.name} is not there, though a worker wrote it. The workers of a cluster must "
-            "see this folder under the same path"
-        )
+        raise ResultsError(f"{out}: the record of {item.name} was removed meanwhile. Run again")
     return record
 
 
@@ -332,9 +216,6 @@ def _columns(outcome: BatchOutcome) -> dict[str, Any]:
         "identified": np.array([np.nan if one.identified is None else one.identified.mean() for one in records]),
         "gain_sd": np.array([one.gain_sd for one in records]),
         "error_m": np.array([one.error for one in records]),
-        "level_z": outcome.scores.level,
-        "shape_z": outcome.scores.shape,
-        "outlier": _texts(outcome.scores.reasons),
         "frames": np.array([one.frames for one in records], dtype=np.int64),
         "seconds": np.array([one.seconds for one in records]),
         "finished": _texts(one.finished for one in records),
@@ -408,7 +289,7 @@ def known(value: float) -> str:
     return significant(value) if np.isfinite(value) else UNKNOWN
 
 
-# `index.html`: the answers, doubts and outliers, small pictures of k(s), all columns.
+# `index.html`: the answers, doubts, small pictures of k(s), all columns.
 
 LEFT_OUT = ("hash", "path", "finished", "warnings")  # columns that the page omits
 WIDE, HIGH = 100.0, 60.0  # of a small picture
@@ -428,7 +309,6 @@ def page(outcome: BatchOutcome, *, version: str) -> str:
         "known": known,
         "reports": any(one.report for one in rows),
         "reasons": _reasons(outcome),
-        "alarms": significant(200.0 * FALSE_ALARMS),
         **_table(outcome),
         "groups": [one for name in names if (one := _group(outcome, name, least, most))["pictures"]],
         "least": significant(least),
@@ -442,7 +322,6 @@ def _cards(outcome: BatchOutcome) -> list[dict[str, str]]:
     return [
         {"what": "learned", "value": f"{len(outcome.learned)} of {len(outcome.records)}", "note": "recordings"},
         {"what": "in doubt", "value": str(len(outcome.in_doubt)), "note": "k(s) is not to be trusted, or not known"},
-        {"what": "unlike the others", "value": str(len(outcome.outliers)), "note": "of their group"},
     ]
 
 
@@ -452,7 +331,6 @@ def _reasons(outcome: BatchOutcome) -> list[dict[str, Any]]:
     kinds = {
         "In doubt": outcome.in_doubt,
         "Not learned": [(item.name, why) for item, why in outcome.failed],
-        "Unlike the others": [(item.name, why) for item, why in outcome.outliers],
         "Warnings": warned,
     }
     return [
@@ -492,15 +370,13 @@ def _range(records: Sequence[tasks.Record]) -> tuple[float, float]:
 
 def _group(outcome: BatchOutcome, name: str, least: float, most: float) -> dict[str, Any]:
     pictures = []
-    for item, one, why in zip(outcome.items, outcome.records, outcome.scores.reasons, strict=True):
+    for item, one in zip(outcome.items, outcome.records, strict=True):
         if item.group != name or one.k is None or one.low is None or one.high is None:
             continue
         s = tasks.PLACES[::STEP]
         band = [*_points(s, one.low[::STEP], least, most), *_points(s, one.high[::STEP], least, most)[::-1]]
         curve = _points(s, one.k[::STEP], least, most)
-        pictures.append(
-            {"name": one_line(item.name), "far": bool(why), "band": " ".join(band), "curve": " ".join(curve)}
-        )
+        pictures.append({"name": one_line(item.name), "band": " ".join(band), "curve": " ".join(curve)})
     return {"name": one_line(name), "pictures": pictures}
 
 
@@ -518,7 +394,6 @@ def summary_of(outcome: BatchOutcome, *, written_by: str) -> dict[str, Any]:
         "worked_on_now": outcome.learned_now,
         "failed": [{"name": item.name, "reason": why} for item, why in outcome.failed],
         "in_doubt": [{"name": name, "reason": why} for name, why in outcome.in_doubt],
-        "outliers": [{"name": item.name, "reason": why} for item, why in outcome.outliers],
     }
 
 

@@ -16,7 +16,6 @@ from rich.text import Text
 
 import onebend
 from onebend.cli import BY, common
-from onebend.errors import ResultsError
 from onebend.many import batch as batches, population_report
 from onebend.many.batch import BatchOutcome, run_batch
 from onebend.many.population import TABLES, read_batch, read_tolerance
@@ -37,9 +36,8 @@ def show_batch(console: Console, outcome: BatchOutcome) -> None:
         f"{len(outcome.learned)} of {len(outcome.items)} recordings learned{before}; {len(outcome.in_doubt)} in doubt.",
         markup=False,
     )
-    failed, unlike = ([(item.name, why) for item, why in rows] for rows in (outcome.failed, outcome.outliers))
-    for title, rows in (("in doubt", outcome.in_doubt), ("not learned", failed), ("unlike the others", unlike)):
-        _show_reasons(console, "recording", title, rows)
+    _show_reasons(console, "recording", "in doubt", outcome.in_doubt)
+    _show_reasons(console, "recording", "not learned", [(item.name, why) for item, why in outcome.failed])
     console.print(
         f"Wrote {outcome.out}: index.html, recordings.parquet, curves.parquet, covariances.parquet, nuisances.parquet",
         markup=False,
@@ -97,12 +95,8 @@ Results = Annotated[
     Path,
     typer.Option("--output", "-o", metavar="RESULTS", help="Folder for the results; an interrupted run continues."),
 ]
-Scheduler = Annotated[
-    str | None,
-    typer.Option("--scheduler", metavar="ADDRESS", help="Dask cluster that sees these folders under the same paths."),
-]
 Workers = Annotated[
-    int | None, typer.Option("--workers", min=1, metavar="N", help="Processes on this machine; default: one per core.")
+    int | None, typer.Option("--workers", min=1, metavar="N", help="Number of processes; default: one per core.")
 ]
 Folders = Annotated[
     bool, typer.Option("--folders", help="Also write a results folder of each recording, without pictures.")
@@ -113,24 +107,14 @@ def batch(
     source: Source,
     *,
     output: Results,
-    scheduler: Scheduler = None,
     workers: Workers = None,
     folders: Folders = False,
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-
-    def began(link: str) -> None:
-        if link and not quiet:
-            common.say(f"The cluster's page: {link}", err=True)
-
     with common.clean_errors():
-        if scheduler is not None and workers is not None:
-            raise ResultsError("a cluster has its own workers. Give --scheduler or --workers, not both")
         with common.progress_of(quiet) as progress:
-            outcome = run_batch(
-                source, output, scheduler=scheduler, workers=workers, folders=folders, progress=progress, began=began
-            )
+            outcome = run_batch(source, output, workers=workers, folders=folders, progress=progress)
         summary = batches.summary_of(outcome, written_by=BY)
         batches.write_batch(outcome, summary, version=onebend.__version__)
     common.answer(as_json, summary, lambda console: show_batch(console, outcome), output)

@@ -9,7 +9,7 @@ groups, are integrated over an adaptive grid.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -265,19 +265,13 @@ def _closer(axis: Array, share: Array) -> Array:
 
 # The results of a batch as a trial.
 
-TEXT, NUMBER = pa.string(), pa.float64()
-TABLES: dict[str, dict[str, pa.DataType]] = {  # with the columns that are read
-    "recordings": {"name": TEXT, "reason": TEXT, "doubts": TEXT, "hash": TEXT, "gain_sd": NUMBER},
-    "curves": {"name": TEXT, "s": NUMBER, "k_N_m": NUMBER, "identified": pa.bool_()},
-    "covariances": {"name": TEXT, "s": NUMBER},
-}
-ROUNDING = 1e-6  # of the largest variance
+TABLES = ("recordings", "curves", "covariances")
 ADVICE = (
     "Run the same `onebend batch` again: it writes the tables anew and learns nothing twice. Change groups, names and "
     "recordings in its list"
 )
 FEWEST = 2  # objects of at least one group, for a spread
-OURS = ("reason", "grade", "doubts", "warnings", "outlier", "hash", "path", "finished")
+OURS = ("reason", "grade", "doubts", "warnings", "hash", "path", "finished")
 
 
 @dataclass(frozen=True)
@@ -300,13 +294,12 @@ def read_batch(folder: Path, by: str, same: str | None = None) -> Named:
         same: column with the object; None: one object per recording.
 
     Raises:
-        ResultsError: no batch, a changed or impossible table, a missing column, an object in two groups, or too few
-            objects.
+        ResultsError: no batch, a changed table, a missing column, an object in two groups, or too few objects.
     """
     _check_unchanged(folder)
-    tables = {name: _table(folder, name) for name in TABLES}
+    tables = {name: pq.read_table(folder / f"{name}.parquet") for name in TABLES}
     rows = tables["recordings"].to_pylist()
-    _check_names(folder, rows)
+    _check_once(folder, rows)
     used, left_out = _used(rows, [_column(folder, rows, one) for one in (by, same) if one is not None])
     groups_of = {_text(row[same]) if same else row["name"]: _text(row[by]) for row in used}
     for row in used:
@@ -322,19 +315,13 @@ def read_batch(folder: Path, by: str, same: str | None = None) -> Named:
             f"{folder}: {len(objects)} objects in {len(groups)} groups tell nothing of the spread within groups. "
             "Give some group two objects or more, or choose another --by"
         )
-    s, log_k, covariance, prior, identified = _curves(folder, tables, rows, {row["name"] for row in used})
+    learned = [row["name"] for row in rows if not row["reason"]]
+    kept = np.isin(learned, [row["name"] for row in used])
+    s, log_k, covariance, prior, identified = _curves(tables["curves"], tables["covariances"], kept)
     number, place = ({name: i for i, name in enumerate(names)} for names in (objects, groups))
     object_of = np.array([number[_text(row[same]) if same else row["name"]] for row in used])
     group_of = np.array([place[one] for one in groups_of.values()])
-    gains = np.array([row["gain_sd"] for row in used])
-    _refuse(
-        folder,
-        "recordings",
-        [row["name"] for row in used],
-        np.asarray(~((gains >= 0.0) & (gains < np.inf))),
-        "gain_sd is no standard deviation",
-    )
-    common = float(gains.max())
+    common = max(row["gain_sd"] for row in used)
     alike, shares = (
         np.array([one[group_of[object_of] == i].mean(axis=0) for i in range(len(groups))])
         for one in (prior, identified)
@@ -360,33 +347,14 @@ def _check_unchanged(folder: Path) -> None:
         raise ResultsError(f"{folder}: {', '.join(changed)} there is not as `onebend batch` wrote it. {ADVICE}")
 
 
-def _table(folder: Path, name: str) -> pa.Table:
-    path = folder / f"{name}.parquet"
-    try:
-        table = pq.read_table(path)
-    except (OSError, pa.ArrowException) as error:
-        raise ResultsError(f"{path}: no table of a batch ({type(error).__name__}). {ADVICE}") from error
-    wanted = dict(TABLES[name])
-    if name == "covariances":
-        wanted |= {one: NUMBER for one in table.column_names if one.startswith(("with_", "prior_with_"))}
-    for column, kind in wanted.items():
-        if table.column_names.count(column) != 1 or table[column].type != kind or table[column].null_count:
-            raise ResultsError(f"{path}: has not one full column {column} ({kind}). {ADVICE}")
-    return table
-
-
-def _check_names(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Raises `ResultsError` where a name, or a learned recording under two names, stands there twice."""
-    path, names, recordings = folder / "recordings.parquet", set[str](), dict[str, str]()
+def _check_once(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Raises `ResultsError` where a learned recording stands under two names."""
+    names = dict[str, str]()
     for row in rows:
-        name, hashed = row["name"], row["hash"]
-        if name in names:
-            raise ResultsError(f"{path}: {quoted(name)} is there twice. {ADVICE}")
-        names.add(name)
-        if not row["reason"] and recordings.setdefault(hashed, name) != name:
+        if not row["reason"] and names.setdefault(row["hash"], row["name"]) != row["name"]:
             raise ResultsError(
-                f"{path}: {quoted(recordings[hashed])} and {quoted(name)} are one recording, which counts once. "
-                "Leave one out of the batch's list"
+                f"{folder}: {quoted(names[row['hash']])} and {quoted(row['name'])} are one recording, which counts "
+                "once. Leave one out of the batch's list"
             )
 
 
@@ -421,62 +389,20 @@ def _text(cell: Any) -> str:
     return "" if cell is None else str(cell)
 
 
-def _curves(
-    folder: Path, tables: Mapping[str, pa.Table], rows: Sequence[Mapping[str, Any]], used: Collection[str]
-) -> tuple[Array, ...]:
-    """s (S,), and of every recording that is used log k (R, S), its covariance and the prior's part of it (R, S, S),
+def _curves(curves: pa.Table, table: pa.Table, kept: BoolArray) -> tuple[Array, ...]:
+    """s (S,), and of the recordings that are `kept` log k (R, S), its covariance and the prior's part of it (R, S, S),
     and whether k is identified (R, S)."""
-    curves, table, names = tables["curves"], tables["covariances"], [row["name"] for row in rows if not row["reason"]]
-    kept = [name in used for name in names]
-    places = _places(folder, "curves", curves, names)
-    s = _places(folder, "covariances", table, names)
-    at, count = [int(np.argmin(np.abs(places - one))) for one in s], len(s)
     columns = [name for name in table.column_names if name.startswith("with_")]
-    if len(columns) != count or not {f"prior_{name}" for name in columns} <= set(table.column_names):
-        raise ResultsError(f"{folder / 'covariances.parquet'}: has not one column for each place. {ADVICE}")
+    s = table["s"].to_numpy()[: len(columns)]
     covariance, prior = (
-        np.stack([table[f"{head}{name}"].to_numpy() for name in columns], axis=1).reshape(-1, count, count)[kept]
+        np.stack([table[f"{head}{name}"].to_numpy() for name in columns], axis=1).reshape(-1, len(s), len(s))[kept]
         for head in ("", "prior_")
     )
-    k, identified = (
-        np.asarray(curves[one].to_numpy()).reshape(len(names), -1)[kept][:, at] for one in ("k_N_m", "identified")
+    k, identified, places = (
+        np.asarray(curves[one].to_numpy(), dtype=float).reshape(len(kept), -1) for one in ("k_N_m", "identified", "s")
     )
-    names = [name for name in names if name in used]
-    _refuse(folder, "curves", names, ~np.all(np.isfinite(k) & (k > 0.0), axis=1), "k is not positive everywhere")
-    for matrices, of in ((covariance, "the covariance"), (prior, "the prior's part")):
-        _refuse(folder, "covariances", names, ~_are_covariances(matrices), f"{of} is no covariance matrix")
-    above = np.asarray(np.any(_variances(prior) > (1.0 + ROUNDING) * _variances(covariance), axis=1))
-    _refuse(folder, "covariances", names, above, "the prior's part is more than the whole")
-    return s, np.log(k), covariance, prior, identified.astype(float)
-
-
-def _places(folder: Path, name: str, table: pa.Table, names: Sequence[str]) -> Array:
-    """s of a table with a row for each of these recordings at each place. Raises `ResultsError` where it has not."""
-    count = len(table) // max(len(names), 1)
-    s = table["s"].to_numpy()
-    whole = len(table) == count * len(names) and table["name"].to_pylist() == [
-        one for one in names for _ in range(count)
-    ]
-    if not whole or not np.array_equal(s, np.tile(s[:count], len(names))) or not (np.diff(s[:count]) > 0.0).all():
-        raise ResultsError(
-            f"{folder / name}.parquet: has not one row for each learned recording and place, in their order. {ADVICE}"
-        )
-    return np.asarray(s[:count])
-
-
-def _are_covariances(matrices: Array) -> BoolArray:
-    """(R,) whether they are finite, symmetric and of variances that are not negative, to rounding."""
-    finite = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
-    known = np.where(finite[:, None, None], matrices, 0.0)
-    largest = ROUNDING * np.abs(known).max(axis=(1, 2))
-    symmetric = np.abs(known - np.swapaxes(known, -1, -2)).max(axis=(1, 2)) <= largest
-    least = np.linalg.eigvalsh(0.5 * (known + np.swapaxes(known, -1, -2)))[:, 0]
-    return np.asarray(finite & symmetric & (least >= -len(known[0]) * largest))
-
-
-def _refuse(folder: Path, name: str, names: Sequence[str], wrong: BoolArray, why: str) -> None:
-    if wrong.any():
-        raise ResultsError(f"{folder / name}.parquet: of {quoted(names[int(np.argmax(wrong))])} {why}. {ADVICE}")
+    at = [int(np.argmin(np.abs(places[0] - one))) for one in s]
+    return s, np.log(k[kept][:, at]), covariance, prior, identified[kept][:, at]
 
 
 # Mean k(s) of groups, ratios, and k(s) of objects, with 95 % bands.

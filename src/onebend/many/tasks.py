@@ -1,27 +1,26 @@
-"""One recording as one task, on any machine that sees all folders under the same paths."""
+"""One recording as one task, in a process of its own."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import threading
 import time
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from importlib.metadata import version
-from logging import getLogger
+from multiprocessing import get_context
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
-from uuid import uuid4
 
 import numpy as np
 
 from onebend.errors import OnebendError, RecordingError, ResultsError, told
-from onebend.extras import package
 from onebend.files.publish import (
     OWN_CHECKSUM,
     abandon,
@@ -38,7 +37,7 @@ from onebend.files.single_file import write_file
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import Nuisance
 from onebend.pipeline import Run, learn
-from onebend.progress import available_cores, interrupts_held, leave_interrupts_to_parent
+from onebend.progress import available_cores, end_now, end_with_parent, interrupts_held
 from onebend.recording.description import HOMES
 from onebend.recording.entries import Recording
 from onebend.recording.folder import FILE_NAME, folder_of, read_recording
@@ -247,19 +246,11 @@ def write_record(out: Path, record: Record) -> None:
 
 
 def read_record(out: Path, hashed: str) -> Record | None:
-    """None if absent, changed or unusable."""
+    """None if absent or changed."""
     data = read_object(record_path(out, hashed), LARGEST)
-    try:
-        if data is None or not is_unchanged(data) or (data["format"], data["hash"]) != (FORMAT, hashed):
-            return None
-        record = Record(**fields_from(Record, {name: data[name] for name in set(data) - {"format", OWN_CHECKSUM}}))
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    if data is None or not is_unchanged(data) or (data.get("format"), data.get("hash")) != (FORMAT, hashed):
         return None
-    count = len(PLACES[::EVERY])
-    curves, squares = (record.k, record.low, record.high, record.identified), (record.covariance, record.prior_part)
-    fits = [one is None or one.shape == PLACES.shape for one in curves]
-    fits += [one is None or one.shape == (count, count) for one in squares]
-    return record if all(fits) else None
+    return Record(**fields_from(Record, {name: data[name] for name in set(data) - {"format", OWN_CHECKSUM}}))
 
 
 FOLDERS = "recordings"  # with `folders`
@@ -270,7 +261,7 @@ class TaskSettings:
     """Of all tasks of a batch."""
 
     out: Path  # absolute
-    version: str  # of the requesting onebend
+    version: str  # of onebend
     folders: bool = False
     fitting: FitSettings = field(default_factory=FitSettings)
     # other cores have their own recordings
@@ -286,15 +277,11 @@ class ItemResult:
     reason: str = ""  # if there is no record
 
 
-def do(item: Item, settings: TaskSettings, *, version: str) -> ItemResult:
+def do(item: Item, settings: TaskSettings) -> ItemResult:
     """Learns the recording unless its record exists.
 
     A failure is recorded with its reason, unless it may be temporary (an unreadable file, a fault of onebend).
-    `version`: of the onebend that works here.
     """
-    if version != settings.version:
-        text = f"the worker has onebend {version}, but onebend {settings.version} asks. Install the same on both"
-        return ItemResult("", False, text)
     try:
         return _do(item, settings)
     except OSError as error:
@@ -384,91 +371,51 @@ def _write_folder(item: Item, run: Run, settings: TaskSettings, files: tuple[Inp
     finish(place)
 
 
-# Tasks on Dask, local or remote; results do not depend on which.
+# Tasks in processes of their own.
 
-ANY_PORT = "127.0.0.1:0"  # any port, for several batches at once
-WAIT = "30s"  # for the scheduler
+TRIES = 2  # of a recording whose process ends, as for want of memory
 Work = Callable[[Item, TaskSettings], ItemResult]
-LOST = "the scheduler of the cluster is lost. Start it and its workers again"
-
-
-def distributed() -> Any:
-    """Dask. Raises `MissingPackageError`."""
-    # a worker's last words do not help anyone
-    package("dask", "batch").config.set({"distributed.logging": {"distributed": "critical"}})
-    return package("distributed", "batch")
-
-
-@contextmanager
-def cluster(address: str | None = None, workers: int | None = None, *, processes: bool = True) -> Iterator[Any]:
-    """A client of the scheduler at `address`, or of a local one with `workers` of one thread (default: one per core).
-    Raises `MissingPackageError`, or `ResultsError` if nobody answers."""
-    library = distributed()
-    if address is not None:
-        try:
-            client = library.Client(address, timeout=WAIT)
-        except (OSError, ValueError) as error:
-            raise ResultsError(f"no scheduler answers at {address} ({error}). Start one, or correct it") from error
-        try:
-            yield client
-        finally:
-            client.close()
-        return
-    count = workers or available_cores()
-    with interrupts_held():
-        begun = library.LocalCluster(
-            n_workers=count, threads_per_worker=1, processes=processes, dashboard_address=ANY_PORT, memory_limit=0
-        )
-    with begun as local, library.Client(local) as client:
-        if processes:
-            client.register_plugin(_prepared(library))
-        yield client
-
-
-def _prepared(library: Any) -> Any:
-
-    class Prepared(library.WorkerPlugin):  # type: ignore[misc]
-        name = "onebend"
-
-        def setup(self, worker: Any) -> None:  # noqa: ARG002
-            leave_interrupts_to_parent()
-            getLogger("distributed").setLevel("CRITICAL")
-
-    return Prepared()
-
-
-def here(item: Item, settings: TaskSettings) -> ItemResult:
-    """`task.do` on this machine."""
-    return do(item, settings, version=version("onebend"))
 
 
 def results_of(
-    client: Any, items: Sequence[Item], settings: TaskSettings, work: Work = here
+    items: Sequence[Item], settings: TaskSettings, workers: int | None = None, work: Work = do
 ) -> Iterator[tuple[int, ItemResult]]:
-    """Every item's number and result as they come; tasks of lost workers are repeated. Raises `ResultsError`: the
-    scheduler is lost."""
-    library, batch = distributed(), uuid4().hex
-    futures = {}
+    """Every item's number and result as they come, from `workers` processes (default: one per core); one in this
+    process. A lost process costs its own recording at most."""
+    count = min(workers or available_cores(), len(items))
+    if count == 1:
+        yield from ((i, work(item, settings)) for i, item in enumerate(items))
+        return
+    over, pools = threading.Event(), [_process() for _ in range(count)]
+    idle = SimpleQueue[int]()
+
+    def result(item: Item) -> ItemResult:
+        number = idle.get()
+        try:
+            for _ in range(TRIES):
+                with suppress(BrokenExecutor):
+                    return pools[number].submit(work, item, settings).result()
+                if over.is_set():
+                    break
+                pools[number] = _process()
+        finally:
+            idle.put(number)
+        return ItemResult("", True, "the processes that learned from it ended: too little memory?")
+
+    for number in range(count):
+        idle.put(number)
+    threads = ThreadPoolExecutor(count)
+    with interrupts_held():  # threads and processes that are begun here answer to none
+        futures = {threads.submit(result, item): i for i, item in enumerate(items)}
     try:
-        for i, item in enumerate(items):
-            key = f"onebend-{batch}-{i}"
-            futures[client.submit(work, item, settings, key=key, pure=False)] = i
-        for future in library.as_completed(futures):
-            yield futures[future], _result(future, library)
-    except (OSError, CancelledError) as error:
-        raise ResultsError(LOST) from error
+        for future in as_completed(futures):
+            yield futures[future], future.result()
     finally:
-        if client.status == "running":
-            client.cancel(list(futures), force=True)
+        over.set()
+        threads.shutdown(wait=False, cancel_futures=True)
+        for pool in pools:
+            end_now(pool)
 
 
-def _result(future: Any, library: Any) -> ItemResult:
-    if future.status == "finished":
-        found: ItemResult = future.result()
-        return found
-    if future.status == "error":
-        error = future.exception()
-        if isinstance(error, library.KilledWorker):
-            return ItemResult("", True, "the workers that learned from it were lost: too little memory?")
-        return ItemResult("", True, f"the worker could not begin: {type(error).__name__}: {error}")
-    raise ResultsError(LOST)
+def _process() -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=end_with_parent)

@@ -118,10 +118,12 @@ def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
     if isinstance(camera, dict) and "camera_info" in camera and (more := set(camera) - {"camera_info", "scale_sd"}):
         text = f"[camera] camera_info stands for the whole calibration. Remove it, or {', '.join(sorted(more))}."
         mistakes.add(("camera", "camera_info"), text)
-    for name, example in (("beam", "length_m = 0.15"), ("tags", "size_m = 0.012")):
-        if name not in data and not (name == "tags" and (alone or "points" in data or is_clicked(data))):
-            other = ", or `clicks` to [photos]" if name == "tags" and "photos" in data else ""
-            mistakes.add((), f"The file lacks the table [{name}]. Add `[{name}]` with `{example}`{other}.")
+    if "beam" not in data:
+        mistakes.add((), "The file lacks the table [beam]. Add `[beam]` with `length_m = 0.15`.")
+    bare = alone or is_clicked(data) or "markers" in data or "poses" in data
+    if "tags" not in data and not bare:
+        other = ", or `clicks` to [photos]" if "photos" in data else ""
+        mistakes.add((), f"The file lacks the table [tags]. Add `[tags]` with `size_m = 0.012`{other}.")
     for name in ("tags", "force", "push", "camera") if alone else ():
         if name in data:
             mistakes.add((name,), f"[{name}] goes with a film, tracks, poses or photos, and there is none. Remove it.")

@@ -242,7 +242,8 @@ class MarkersEntry:
     file: Path = key(
         'file = "markers.csv"',
         text,
-        "a CSV or Parquet table with columns time_s, id, x_m, y_m and, where known, z_m, angle_rad, sd_m",
+        "a CSV or Parquet table with columns time_s, id (of a curve order), x_m, y_m and, where known, z_m, angle_rad, "
+        "sd_m",
     )
     start: float = key("start_s = 0.0", number(), "what to add to the tracker's time to get the force log's, s", nan)
     start_uncertainty: float = key(
@@ -285,7 +286,8 @@ class PosesEntry:
     file: Path = key(
         'file = "poses.csv"',
         text,
-        "a CSV or Parquet table with columns pose, id, y_m and, where known, x_m, angle_deg, sd_m; one row a point",
+        "a CSV or Parquet table with columns pose, id (of a curve order), y_m and, where known, x_m, angle_deg, sd_m; "
+        "one row a point",
     )
     loads: Path = key(
         'loads = "loads.csv"',

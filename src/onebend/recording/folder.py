@@ -21,12 +21,12 @@ from onebend.recording.camera import equidistant, nearest_lens, rational
 from onebend.recording.description import (
     HOMES,
     SECTIONS,
+    SOURCES,
     camera_record,
     check_together,
     check_top,
     empty_values,
     implausible,
-    is_clicked,
     read_beam,
     read_frequencies,
     read_tags,
@@ -260,10 +260,10 @@ def _described(folder: Path, data: dict[str, Any], mistakes: Mistakes, *, filmed
     """The recording that `data` describes, or None with the reasons in `mistakes`; `bags`: look into them too."""
     check_top(data, mistakes)
     swung = read_frequencies(data["frequencies"], mistakes) if "frequencies" in data else ()
-    tags: TagsEntry | None = TagsEntry() if is_clicked(data) else CLAMP_ALONE
+    tags: TagsEntry | None = TagsEntry() if any(name in data for name in SOURCES) else CLAMP_ALONE
     if "tags" in data or "points" in data:
         outline, pictures = data.get("outline"), "video" in data or "photos" in data
-        bare = pictures and not (isinstance(outline, dict) and outline.get("use") is False)
+        bare = not (isinstance(outline, dict) and outline.get("use") is False)
         tags = read_tags(data.get("tags", {}), mistakes, pictures=pictures, bare=bare, points=data.get("points"))
     beam = read_beam(data["beam"], mistakes) if "beam" in data else None
     sections = {

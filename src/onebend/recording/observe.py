@@ -127,7 +127,7 @@ def _shown(
     if rec.poses is not None:
         return pose_observations(rec)
     if rec.photos is not None:
-        return photo_observations(rec, progress=progress)
+        return photo_observations(rec, progress=progress)[0]
     log = read_log(rec)
     base = read_base_log(rec.gravity.base_angle_file) if rec.gravity and rec.gravity.base_angle_file else None
     if rec.markers is not None:

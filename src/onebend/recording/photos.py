@@ -21,7 +21,7 @@ from scipy.interpolate import PchipInterpolator
 from onebend.errors import ObservationError, RecordingError
 from onebend.progress import Progress, Silent, track
 from onebend.recording.beam_frame import MOUNTING_SD, to_beam_frame
-from onebend.recording.camera import measure_markers, points_in_plane, project, to_plane, view_of
+from onebend.recording.camera import lay_square, measure_markers, points_in_plane, project, to_plane, view_of
 from onebend.recording.entries import Recording
 from onebend.recording.outline import (
     MEASURED,
@@ -46,7 +46,7 @@ from onebend.recording.outline import (
     refined,
     refuse_lost,
 )
-from onebend.recording.poses import PoseLoads, PosePoints, read_loads, static
+from onebend.recording.poses import ERROR_LENGTH, GUESSED_SD, PoseLoads, PosePoints, read_loads, static
 from onebend.recording.tables import read_columns
 from onebend.recording.tag_finder import Finder
 from onebend.recording.tags import track_block
@@ -69,23 +69,20 @@ from onebend.records import (
 HEIC_BRANDS = frozenset((b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx"))
 
 
-def photo_observations(rec: Recording, *, progress: Progress = Silent()) -> Observations:
-    """Observations from a folder of photos and a table of loads."""
-    assert rec.photos is not None
-    loads = read_loads(rec.photos.loads, rec, rec.photos.axes)
-    points = tag_points(rec, loads, progress) if rec.tags.on_beam else curve_points(rec, loads, progress)[0]
-    return static(rec, loads, points, rec.photos.load_sd)
+Traced = tuple[PosePoints, tuple[OutlineTrack, ...]]
 
 
-def traced_photos(rec: Recording) -> tuple[Observations, tuple[OutlineTrack, ...]]:
-    """As `photo_observations` without tags on the body, and the body's curve in each picture."""
+def photo_observations(
+    rec: Recording, *, progress: Progress = Silent()
+) -> tuple[Observations, tuple[OutlineTrack, ...]]:
+    """Observations from a folder of photos and a table of loads; and, without tags on the body, its curve in each."""
     assert rec.photos is not None
     loads = read_loads(rec.photos.loads, rec, rec.photos.axes)
-    points, tracks = curve_points(rec, loads, Silent())
+    points, tracks = (tag_points if rec.tags.on_beam else curve_points)(rec, loads, progress)
     return static(rec, loads, points, rec.photos.load_sd), tracks
 
 
-def tag_points(rec: Recording, loads: PoseLoads, progress: Progress) -> PosePoints:
+def tag_points(rec: Recording, loads: PoseLoads, progress: Progress) -> Traced:
     """The tags on the body."""
     assert rec.photos is not None
     if rec.photos.clicks is not None:
@@ -96,7 +93,7 @@ def tag_points(rec: Recording, loads: PoseLoads, progress: Progress) -> PosePoin
     rough = chord_angles(markers.xy, markers.s)
     turns = np.round(np.nan_to_num(rough - markers.angle) / (2 * np.pi))  # from photo to photo an angle may jump
     markers = replace(markers, angle=markers.angle + 2 * np.pi * turns)
-    return points_of_markers(*in_beam_frame(rec, markers, loads))
+    return points_of_markers(*in_beam_frame(rec, markers, loads)), ()
 
 
 def points_of_markers(markers: Markers, clamp_sd: float, remarks: tuple[Remark, ...]) -> PosePoints:
@@ -203,8 +200,8 @@ def measured(
         some = replace(detections, time=detections.time[part], corners=detections.corners[part])
         one = measure_markers(some, rec)
         if trace is not None:
-            assert one.view is not None
-            one = measure_markers(some, rec, joined([trace(i, one.view) for i in range(count)[part]]))
+            views = zip(range(count)[part], base_views(rec, one, some.corners[:, 0]), strict=True)
+            one = measure_markers(some, rec, joined([trace(i, view) for i, view in views]))
         found.append(with_camera_as_noise(one))
     remarks = {remark.text: remark for one in found for remark in one.remarks}.values()
     return replace(
@@ -216,6 +213,15 @@ def measured(
         base_angle=np.concatenate([one.base_angle for one in found]),
         remarks=tuple(remarks),
     )
+
+
+def base_views(rec: Recording, markers: Markers, corners: Array) -> list[View]:
+    """The view of the first base tag's plane and frame in each picture, by its corners (P, 4, 2) px; where hidden,
+    as in the first."""
+    assert markers.view is not None
+    xy, angle = lay_square(to_plane(markers.view, corners))
+    xy, angle = np.nan_to_num(xy), np.nan_to_num(angle - rec.tags.on_base[0].turn)
+    return [view_of(markers.view, *one) for one in zip(xy, angle.tolist(), strict=True)]
 
 
 def with_camera_as_noise(markers: Markers) -> Markers:
@@ -247,8 +253,6 @@ def in_beam_frame(rec: Recording, markers: Markers, loads: PoseLoads) -> tuple[M
 # The body's curve: points whose place along the body is free. What is said of it here is its error in one picture: an
 # unknown share of the length, alike over some way along it, as of shade on a round body or of a curve drawn by hand.
 
-ERROR_LENGTH = 0.2  # of the length: half of the errors' correlation is left
-CURVE_SD = 1e-3  # of the length: of these errors, before the fit has found their size
 LONGEST = 1000.0  # px: a picture of a longer body is made smaller; then its edges are as sharp as a film's
 ROUNDS = 3  # of the scale, where the body's own length gives it
 PIECES = 8  # of the body, whose width is looked for
@@ -290,9 +294,6 @@ def read_clicks(rec: Recording, names: tuple[str, ...]) -> tuple[Clicks, ...]:
     return tuple(out)
 
 
-Traced = tuple[PosePoints, tuple[OutlineTrack, ...]]
-
-
 def curve_points(rec: Recording, loads: PoseLoads, progress: Progress) -> Traced:
     """Points of the body's curve, by its edges, in the beam's frame; and in the pixels of each picture."""
     assert rec.photos is not None
@@ -302,7 +303,7 @@ def curve_points(rec: Recording, loads: PoseLoads, progress: Progress) -> Traced
     else:
         assert clicks is not None
         found, tracks = _by_length(rec, loads, clicks, progress)
-    variance = (CURVE_SD * rec.beam.length) ** 2 * np.diag([1.0, 1.0, 0.0])
+    variance = (GUESSED_SD * rec.beam.length) ** 2 * np.diag([1.0, 1.0, 0.0])
     readings = Readings(error_length=ERROR_LENGTH * rec.beam.length)
     text = "The size of the curve's error in the pictures is estimated from the fit."
     points = replace(
@@ -321,10 +322,10 @@ def _beside_base_tag(rec: Recording, loads: PoseLoads, clicks: tuple[Clicks, ...
     origins, tracks = np.zeros((len(loads.names), 2)), []
 
     def trace(i: int, view: View) -> OutlineTrack:
-        photo, clicked = Photo.read(rec, loads.names[i]), None if clicks is None else clicks[i]
+        name, clicked = loads.names[i], None if clicks is None else clicks[i]
         if clicked is not None:
             origins[i] = to_plane(view, clicked.px[0])
-        tracks.append(track_in(photo, found_in(photo, view_of(view, origins[i], 0.0), rec, clicked)))
+        tracks.append(track_in(found_in(rec, name, read_photo(rec, name), view_of(view, origins[i], 0.0), clicked)))
         return tracks[-1]
 
     markers = measured(detections, rec, trace)
@@ -345,10 +346,9 @@ def _by_length(rec: Recording, loads: PoseLoads, clicks: tuple[Clicks, ...], pro
         )
     found, views, tracks = [], [], []
     for i, name in track(progress, "Following the body", list(enumerate(loads.names)), len(loads.names)):
-        photo = Photo.read(rec, name)
-        body = found_by_length(photo, rec, clicks[i], float(loads.clamp[i]))
+        body = found_by_length(rec, name, clicks[i], float(loads.clamp[i]))
         views.append(smaller_view(body.sight.view, 1.0 / body.smaller))
-        tracks.append(track_in(photo, body))
+        tracks.append(track_in(body))
         found.append(points_in_plane(views[-1], tracks[-1]))
     clamp_sd = rec.photos.clamp_sd if math.isfinite(rec.photos.clamp_sd) else MOUNTING_SD
     turn = f"{math.degrees(clamp_sd):.2g} deg (sd)"
@@ -368,28 +368,17 @@ def _by_length(rec: Recording, loads: PoseLoads, clicks: tuple[Clicks, ...], pro
     return points, tuple(tracks)
 
 
-@dataclass(frozen=True)
-class Photo:
-    """A picture of the body."""
-
-    name: str
-    image: Image.Image
-
-    @staticmethod
-    def read(rec: Recording, name: str) -> Photo:
-        """That of a pose."""
-        return Photo(name, read_photo(rec, name))
-
-    def planes(self, smaller: int) -> Planes:
-        """Brightness and colours, so many times smaller."""
-        luma, blue, red = (np.asarray(one) for one in self.image.convert("YCbCr").reduce(smaller).split())
-        return Planes(luma, np.stack([blue, red]), left=False)
+def planes_in(image: Image.Image, smaller: int) -> Planes:
+    """Brightness and colours of a picture, so many times smaller."""
+    luma, blue, red = (np.asarray(one) for one in image.convert("YCbCr").reduce(smaller).split())
+    return Planes(luma, np.stack([blue, red]), left=False)
 
 
 @dataclass(frozen=True)
 class FoundBody:
     """The body in one picture."""
 
+    name: str  # of the picture
     sight: Sight  # of the picture made smaller
     smaller: int  # so many times
     stations: Stations
@@ -413,30 +402,30 @@ def level_view(origin: Array, scale: float, clamp: float) -> View:
     return View(np.diag([scale, scale, 1.0]), np.zeros(5), turn, np.append(origin / scale, 1.0), False, CLICKED)
 
 
-def found_in(photo: Photo, view: View, rec: Recording, clicks: Clicks | None = None) -> FoundBody:
+def found_in(rec: Recording, picture: str, image: Image.Image, view: View, clicks: Clicks | None = None) -> FoundBody:
     """The body in a picture whose plane and frame are known: along the clicks, or from the base tag on."""
     length = rec.beam.length
     long = float(np.linalg.norm(np.diff(project(view, np.array([[0.0, 0.0], [length, 0.0]])), axis=0)))
     smaller = max(1, int(long / LONGEST))
-    sight = Sight(photo.planes(smaller), smaller_view(view, smaller), np.zeros(2))
+    sight = Sight(planes_in(image, smaller), smaller_view(view, smaller), np.zeros(2))
     stations = Stations(length, max(2 * POINTS, math.ceil(long / smaller / STATION)))
-    s, name, width = stations.s, f"{rec.name}: {photo.name}", math.nan if rec.outline is None else rec.outline.width
+    s, name, width = stations.s, f"{rec.name}: {picture}", math.nan if rec.outline is None else rec.outline.width
     if clicks is None:
         hidden = s < rec.tags.on_base[0].s + PAPER * rec.tags.size / length
-        return FoundBody(sight, smaller, stations, ~hidden, grown(sight, stations, hidden, name, width))
+        return FoundBody(name, sight, smaller, stations, ~hidden, grown(sight, stations, hidden, name, width))
     end = STATION * smaller / long  # an edge that ends there is none
     shown = (s > end) & (s < clicks.s - end)
     state = through(stations, to_plane(view, clicks.px), clicks.s)
-    return FoundBody(sight, smaller, stations, shown, along(sight, stations, state, shown, name, width))
+    return FoundBody(name, sight, smaller, stations, shown, along(sight, stations, state, shown, name, width))
 
 
-def found_by_length(photo: Photo, rec: Recording, clicks: Clicks, clamp: float) -> FoundBody:
+def found_by_length(rec: Recording, picture: str, clicks: Clicks, clamp: float) -> FoundBody:
     """The body in a level picture, its length between the first and the last click as written."""
     scale = float(np.sum(np.linalg.norm(np.diff(clicks.px, axis=0), axis=1))) / (rec.beam.length * clicks.s)
-    origin = clicks.px[0]
+    origin, image = clicks.px[0], read_photo(rec, picture)
     for _ in range(ROUNDS):
         view = level_view(origin, scale, clamp)
-        found = found_in(photo, view, rec, clicks)
+        found = found_in(rec, picture, image, view, clicks)
         places, feet = feet_on(found.stations.curve(found.body.state), found.stations, to_plane(view, clicks.px))
         origin = project(view, feet[0])
         scale *= (places[-1] - places[0]) / clicks.s
@@ -472,7 +461,12 @@ def along(sight: Sight, stations: Stations, state: Array, shown: BoolArray, name
     """
     pieces = np.array_split(np.flatnonzero(shown), PIECES)
     middle = np.array([float(np.mean(stations.s[piece])) for piece in pieces])
-    half, clicked = np.full(stations.count, np.nan), state
+    half, clicked, usual = np.full(stations.count, np.nan), state, math.nan
+
+    def strays(new: Array) -> bool:
+        """Whether a curve lies farther from the clicks than the body is wide."""
+        return not np.max(np.abs(stations.across(stations.curve(clicked)) @ (new - clicked))[shown]) <= usual
+
     for _ in range(ROUNDS):
         curve = stations.curve(state)
         parts = (np.isin(np.arange(stations.count), piece) for piece in pieces)
@@ -485,14 +479,14 @@ def along(sight: Sight, stations: Stations, state: Array, shown: BoolArray, name
         off = np.interp(stations.s, middle[well], 0.5 * (sides[well, 0] - sides[well, 1]))
         half[:], sd = 0.5 * usual, CLICKED / float(np.median(sight.outward(curve)[1]))
         new = stations.fitted(state, np.where(shown, off, np.nan), sd)
-        if np.max(np.abs(stations.across(stations.curve(clicked)) @ (new - clicked))[shown]) > usual:
-            break  # farther from the clicks than the body is wide
+        if strays(new):
+            break
         state = new
     step = edge_size(sight, stations.curve(state), half, shown) if np.isfinite(half).all() else 0.0
     body = refined(sight, stations, state, half, shown, step)
     for _ in range(ROUNDS):
         body = None if body is None else refined(sight, stations, body.state, body.half, shown, step)
-    if body is not None:
+    if body is not None and not strays(body.state):
         return body
     raise ObservationError(
         f"{name}: no body is seen along the clicks: no two edges run beside them. Are they of this picture, upright as "
@@ -502,7 +496,7 @@ def along(sight: Sight, stations: Stations, state: Array, shown: BoolArray, name
     )
 
 
-def track_in(photo: Photo, found: FoundBody) -> OutlineTrack:
+def track_in(found: FoundBody) -> OutlineTrack:
     """Points of the body's centreline, in pixels of the whole picture."""
     sight, stations, body = found.sight, found.stations, found.body
     curve = stations.curve(body.state)
@@ -510,7 +504,7 @@ def track_in(photo: Photo, found: FoundBody) -> OutlineTrack:
     away = np.where(found.shown, find_flanks(sight, curve, body.half, body.look), np.nan)
     search = OutlineSearch(body.state[None], away[None])
     middle = centreline(search, stations, body.half, MEASURED / scale)
-    refuse_lost(middle, search, found.shown, photo.name)
+    refuse_lost(middle, search, found.shown, found.name)
     track = points_of(middle, search, stations, [sight], scale)
     times = found.smaller
     px, ahead = ((one + 0.5) * times - 0.5 for one in (track.px, track.ahead))

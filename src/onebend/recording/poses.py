@@ -11,13 +11,16 @@ from typing import NoReturn
 import numpy as np
 
 from onebend.errors import ObservationError, RecordingError
+from onebend.recording.curves import curve_rows, points_on, stated_sd, vertices_of
 from onebend.recording.entries import Axes, PosesEntry, Recording
 from onebend.recording.force_log import refuse_other_unit, size_remarks
+from onebend.recording.outline import PLACES, POINTS
 from onebend.recording.schema import lines_of_keys
 from onebend.recording.stated import stated_in
 from onebend.recording.tables import Columns, read_columns
 from onebend.recording.tracks import chord_angles
 from onebend.records import (
+    POINT_ID,
     UNKNOWN_ANGLE_SD,
     Array,
     BenchPoses,
@@ -385,21 +388,24 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
 
 
 def read_points(rec: Recording, loads: PoseLoads) -> PosePoints:
-    """The table of points, on a grid of poses and points, in the beam's frame."""
+    """The table of points, on a grid of poses and points, in the beam's frame; and points of its curves."""
     entry = rec.poses
     assert entry is not None
-    known = ("x_m", "angle_deg", *SDS)
-    table = read_columns(entry.file, ("id", "y_m"), known, labels=("pose",), kind="table of poses", strict=True)
+    known = ("id", "order", "x_m", "angle_deg", *SDS)
+    table = read_columns(entry.file, ("y_m",), known, labels=("pose",), kind="table of poses", strict=True)
     ids = [tag.id for tag in rec.tags.on_beam]
     strange = np.array([name not in loads.names for name in table.labels["pose"]])
     table.refuse(strange, f"the pose is not in {entry.loads.name}. Name it there, without a load if it has none.")
-    table.refuse(~np.isin(table.get("id"), ids), f"id is none of the points in recording.toml ({ids}).")
+    drawn = curve_rows(table, "" if ids else "[[points]]")
+    table.refuse(~drawn & ~np.isin(table.get("id"), ids), f"id is none of the points in recording.toml ({ids}).")
     for name in SDS:
         table.refuse(table.get(name) <= 0.0, f"{name} must be above zero.")
     readings = readings_of(rec, loads, table)
-    pairs = zip(table.labels["pose"], table.get("id"), strict=True)
-    cells = [(loads.names.index(name), ids.index(int(i))) for name, i in pairs]
-    twice = np.array([cells.index(cell) < k for k, cell in enumerate(cells)])
+    pose = np.array([loads.names.index(name) for name in table.labels["pose"]])
+    rows = np.flatnonzero(~drawn)
+    cells = [(int(pose[row]), ids.index(int(table.get("id")[row]))) for row in rows]
+    twice = np.zeros(len(pose), dtype=bool)
+    twice[rows] = [cells.index(cell) < k for k, cell in enumerate(cells)]
     table.refuse(twice, "the point is there twice in its pose.")
     room, shape = entry.axes == "room", (len(loads.names), len(ids))
     if room and not np.isfinite(loads.clamp).all():
@@ -409,7 +415,7 @@ def read_points(rec: Recording, loads: PoseLoads) -> PosePoints:
         )
     grids = {name: np.full(shape, np.nan) for name in ("x_m", "y_m", "angle_deg", *SDS)}
     for name, grid in grids.items():
-        grid[tuple(np.array(cells).T)] = table.get(name)
+        grid[tuple(np.array(cells, dtype=int).reshape(-1, 2).T)] = table.get(name)[rows]
     given = np.stack([grids["x_m"], grids["y_m"]], axis=-1)
     xy = turned(given, loads.clamp[:, None]) if room else given
     unusable = np.isfinite(given).any(axis=-1) & ~np.isfinite(xy).any(axis=-1)
@@ -425,7 +431,41 @@ def read_points(rec: Recording, loads: PoseLoads) -> PosePoints:
     remarks = reading_remarks(loads, readings)
     remarks += () if sd_known else (Remark("note", "How exactly the points were measured is estimated from the fit."),)
     number = np.array(ids, dtype=np.int64)
-    return PosePoints(number, s, xy, angle, covariance, sd_known, entry.clamp_sd, readings, remarks=remarks)
+    points = PosePoints(number, s, xy, angle, covariance, sd_known, entry.clamp_sd, readings, remarks=remarks)
+    return _with_curves(rec, loads, points, table, drawn, pose) if drawn.any() else points
+
+
+ERROR_LENGTH = 0.2  # of the length: over which the errors of a curve are alike, where nobody says it
+
+
+def _with_curves(
+    rec: Recording, loads: PoseLoads, points: PosePoints, table: Columns, drawn: BoolArray, pose: IntArray
+) -> PosePoints:
+    """With points of the curves in the table, whose `drawn` (N,) rows are vertices, each row of a `pose` (N,)."""
+    entry = rec.poses
+    assert entry is not None
+    for name, wrong in (("read_at", points.readings.at == "x"), ("relative_to", points.readings.bare >= 0)):
+        if wrong:
+            _refuse(rec, name, "is of points, and the table holds a curve (order). Measure the curve from the clamp.")
+    vertices = vertices_of(table, drawn, pose, len(loads.names))
+    if entry.axes == "room":
+        vertices = turned(vertices, loads.clamp[:, None])
+    curve = points_on(vertices, rec.beam.length, rec.name)
+    sd = stated_sd(table, drawn, pose, len(loads.names), entry.sd)
+    known = bool(np.isfinite(sd[np.unique(pose[drawn])]).all())
+    variance = np.where(np.isfinite(sd), sd, GUESSED_SD * rec.beam.length)[:, None, None, None] ** 2
+    return PosePoints(
+        tag_id=np.append(points.tag_id, POINT_ID + np.arange(POINTS)),
+        s=np.append(points.s, PLACES),
+        xy=np.concatenate([points.xy, curve.xy], axis=1),
+        angle=np.concatenate([points.angle, curve.angle], axis=1),
+        covariance=np.concatenate([points.covariance, variance * np.ones((1, POINTS, 1, 1)) * np.eye(3)], axis=1),
+        sd_known=points.sd_known and known,
+        clamp_sd=points.clamp_sd,
+        readings=replace(points.readings, error_length=entry.error_length or ERROR_LENGTH * rec.beam.length),
+        remarks=points.remarks,
+        traced=np.arange(len(points.s) + POINTS) >= len(points.s),
+    )
 
 
 def _check_held(rec: Recording, loads: PoseLoads, points: PosePoints) -> None:

@@ -82,17 +82,19 @@ FIRST_ROWS = 1000  # of tracks, in which every marker is
 
 @dataclass(frozen=True)
 class FoundInFiles:
-    """What files tell of a recording: keys with their values as TOML by table, ids of tags, and what to know of it."""
+    """What files tell of a recording: keys with their values as TOML by table, ids of tags, whether there are none on
+    the beam, and what to know of it."""
 
     values: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     base: tuple[int, ...] = ()
     beam: tuple[int, ...] = ()
     notes: tuple[str, ...] = ()
+    bare: bool = False
 
     def __add__(self, other: FoundInFiles) -> FoundInFiles:
         values = {name: {**self.values.get(name, {}), **table} for name, table in other.values.items()}
         ids = self.base or other.base, self.beam or other.beam
-        return FoundInFiles({**self.values, **values}, *ids, (*self.notes, *other.notes))
+        return FoundInFiles({**self.values, **values}, *ids, (*self.notes, *other.notes), self.bare or other.bare)
 
 
 def write_template(
@@ -206,6 +208,8 @@ def found_in_tracks(path: Path) -> FoundInFiles:
     """The markers' ids."""
     rows = islice(_rows(path), FIRST_ROWS)
     header = next(rows, [])
+    if "order" in header and "id" not in header:
+        return FoundInFiles(bare=True, notes=(f"{path.name}: curves, whose points need no id",))
     if "id" not in header:
         return FoundInFiles()
     ids = {row[header.index("id")].strip() for row in rows if len(row) == len(header)}
@@ -227,7 +231,7 @@ def template(kind: Kind = "video", found: FoundInFiles = FoundInFiles(), *, ever
     beam = {"length_m": TO_FILL_IN, **more.get("beam", {})}
     tags = {**({"size_m": TO_FILL_IN} if camera else {}), **found.values.get("tags", {})}
     places = [{"id": str(one), "s": TO_FILL_IN} for one in found.beam or ((1, 2, 3) if kind == "weights" else ())]
-    places = [] if kind == "photo" else places or [{"id": TO_FILL_IN, "s": TO_FILL_IN}] * 3
+    places = [] if kind == "photo" or found.bare else places or [{"id": TO_FILL_IN, "s": TO_FILL_IN}] * 3
     listed = "[[points]]" if kind == "weights" else "[[tags.on_beam]]"
 
     def table(header: str, record: type, values: Mapping[str, str]) -> str:

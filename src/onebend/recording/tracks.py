@@ -12,12 +12,25 @@ import numpy as np
 
 from onebend.errors import ObservationError, RecordingError
 from onebend.recording.camera import MOVED, RUNNING, lengths_apart, order_hint, rotated, running_median, unwrap
+from onebend.recording.curves import curve_rows, points_on, stated_sd, vertices_of
 from onebend.recording.entries import FrequencyEntry, GravityEntry, Recording
 from onebend.recording.force import ContactSettings, find_contact
+from onebend.recording.outline import PLACES, POINTS
 from onebend.recording.signals import LATEST, MAD_TO_SD, MOST_FRAMES, check_span, copies_in_motion, from_clamp
 from onebend.recording.stated import stated_in
 from onebend.recording.tables import Columns, read_columns, read_every_column
-from onebend.records import UNKNOWN_ANGLE_SD, Array, BoolArray, Markers, MeasuredFrequency, Observations, Remark, Source
+from onebend.records import (
+    POINT_ID,
+    UNKNOWN_ANGLE_SD,
+    Array,
+    BoolArray,
+    Markers,
+    MeasuredFrequency,
+    Observations,
+    Remark,
+    Source,
+    of_markers,
+)
 
 
 def chord_angles(xy: Array, s: Array) -> Array:
@@ -157,7 +170,7 @@ LEAST_SD, LEAST_ANGLE_SD = 1e-6, 1e-4  # m and rad, least noise of a tracker: it
 
 @dataclass(frozen=True)
 class Tracks:
-    """Markers in the tracker's plane: base first, as recording.toml lists them."""
+    """Markers in the tracker's plane: base first, as recording.toml lists them, and then the points of a curve."""
 
     time: Array  # (T,) s
     xy: Array  # (T, b + m, 2) m
@@ -166,6 +179,7 @@ class Tracks:
     clamp: Array | None  # (2,) m, where recording.toml says it
     x_axis: Array | None  # (2,), the same
     remarks: tuple[Remark, ...]
+    curve: int = 0  # how many of the m are points of a curve
 
 
 def track_markers(rec: Recording, settings: ContactSettings = ContactSettings()) -> Markers:
@@ -176,45 +190,51 @@ def track_markers(rec: Recording, settings: ContactSettings = ContactSettings())
     in_base = rotated(tracks.xy[:, base:] - shift[:, None], -turn[:, None])
     covariance = np.zeros((*in_base.shape[:2], 3, 3))
     covariance[..., 0, 0] = covariance[..., 1, 1] = tracks.sd[:, base:] ** 2
-    angle = unwrap(tracks.angle[:, base:] - turn[:, None] - np.array([tag.turn for tag in rec.tags.on_beam]))
+    tags, curve = rec.tags.on_beam, np.arange(tracks.curve)
+    turns = np.array([*(tag.turn for tag in tags), *np.zeros(len(curve))])
+    angle = unwrap(tracks.angle[:, base:] - turn[:, None] - turns)
     covariance[..., 2, 2] = _noise(angle, LEAST_ANGLE_SD, UNKNOWN_ANGLE_SD) ** 2
     covariance[~np.isfinite(in_base).all(axis=-1)] = np.nan
     raw = Markers(
         time=tracks.time,
-        tag_id=np.array([tag.id for tag in rec.tags.on_beam]),
-        s=np.array([tag.s for tag in rec.tags.on_beam]),
+        tag_id=np.array([*(tag.id for tag in tags), *(POINT_ID + curve)]),
+        s=np.array([*(tag.s for tag in tags), *PLACES[curve]]),
         xy=in_base,
         angle=angle,
         covariance=covariance,
         base_angle=turn,
         view=None,
         remarks=(*tracks.remarks, *moves),
+        traced=np.arange(len(turns)) >= len(tags) if len(curve) else None,
     )
     origin, direction = clamp_frame(rec, tracks, raw, settings)
     xy = rotated(in_base - origin, np.array(-direction))
     if worst := lengths_apart(xy, rec, "the clamp", "marker")[0]:
         hint = "Are x_m and y_m in metres? Check length_m and the markers' ids and s."
         raise ObservationError(f"{rec.name}: {worst}.{order_hint(xy, rec)} {hint}", about="unit")
-    check_angles(xy, raw.s, angle, rec.name)
-    return replace(raw, xy=xy, angle=unwrap(angle - direction))
+    if tags:
+        check_angles(xy[:, : len(tags)], raw.s[: len(tags)], angle[:, : len(tags)], rec.name)
+    turned = replace(raw, xy=xy, angle=unwrap(angle - direction))
+    return of_markers(turned, np.argsort(raw.s, kind="stable")) if len(curve) else turned
 
 
 def read_tracks(rec: Recording) -> Tracks:
-    """The table on a grid of times and markers, in the plane of bending."""
+    """The table on a grid of times and markers, in the plane of bending, and points of its curves."""
     entry = rec.markers
     assert entry is not None
     known = ("z_m", "angle_rad", "sd_m")
-    table = read_columns(entry.file, ("time_s", "id", "x_m", "y_m"), known, kind="marker table")
+    table = read_columns(entry.file, ("time_s", "x_m", "y_m"), ("id", "order", *known), kind="marker table")
     time, wanted = table.get("time_s"), [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
     table.refuse(~(np.abs(time) < LATEST), "time_s is empty or no time. Remove the row, or give its time.")
-    table.refuse(table.get("id") != np.round(table.get("id")), "id is no whole number. Number the markers.")
+    drawn = curve_rows(table, "" if rec.tags.on_beam else "[[tags.on_beam]]")
+    table.refuse(~drawn & (table.get("id") != np.round(table.get("id"))), "id is no whole number. Number the markers.")
     table.refuse(table.get("sd_m") <= 0.0, "sd_m must be above zero.")
     for name in ("x_m", "y_m", *known):
         table.refuse(np.abs(table.get(name)) > FARTHEST_M, f"{name} is more than {FARTHEST_M:g}. Is it in metres?")
     times, frame = np.unique(time, return_inverse=True)
     check_span(times, str(entry.file), most=MOST_FRAMES)
     grids = {name: np.full((len(times), len(wanted)), np.nan) for name in ("x_m", "y_m", *known)}
-    strangers = sorted(set(table.get("id").tolist()) - set(wanted))
+    strangers = sorted(set(table.get("id")[~drawn].tolist()) - set(wanted))
     for i, marker in enumerate(wanted):
         rows = np.flatnonzero(table.get("id") == marker)
         again = np.zeros(len(time), dtype=bool)
@@ -224,16 +244,19 @@ def read_tracks(rec: Recording) -> Tracks:
             grid[frame[rows], i] = table.get(name)[rows]
     remarks = [Remark("note", f"The table also holds markers that recording.toml does not name: {_ids(strangers)}.")]
     points = np.stack([grids["x_m"], grids["y_m"], grids["z_m"]], axis=-1)
-    _refuse_missing(rec, table, points[..., :2], wanted)
+    _refuse_missing(rec, table, points[..., :2], wanted, drawn)
+    vertices = vertices_of(table, drawn, frame, len(times), ("x_m", "y_m", "z_m"))
     if "z_m" in table.numbers:
-        plane = best_plane(points, entry.seen_from)
-        remarks += plane_remarks(plane, points)
+        everything = np.concatenate([points, vertices], axis=1)
+        plane = best_plane(everything, entry.seen_from)
+        remarks += plane_remarks(plane, everything)
     else:
-        points, plane = points[..., :2], Plane(np.zeros(2), np.eye(2), np.zeros(2))
+        points, vertices = points[..., :2], vertices[..., :2]
+        plane = Plane(np.zeros(2), np.eye(2), np.zeros(2))
     _check_dimensions(rec, points.shape[-1])
     xy = plane.lay(points)
     sd = np.where(np.isfinite(grids["sd_m"]), grids["sd_m"], entry.sd)
-    return Tracks(
+    tracks = Tracks(
         time=times,
         xy=xy,
         angle=grids["angle_rad"],
@@ -241,6 +264,24 @@ def read_tracks(rec: Recording) -> Tracks:
         clamp=plane.lay(np.array(entry.clamp)) if entry.clamp else None,
         x_axis=plane.axes @ np.array(entry.x_axis) if entry.x_axis else None,
         remarks=tuple(remarks[0 if strangers else 1 :]) + _gaps(xy, wanted),
+    )
+    if not drawn.any():
+        return tracks
+    return _with_curve(rec, tracks, plane.lay(vertices), stated_sd(table, drawn, frame, len(times), entry.sd))
+
+
+def _with_curve(rec: Recording, tracks: Tracks, vertices: Array, sd: Array) -> Tracks:
+    """With points of the curve through the vertices (T, n, 2) m, each of which is known to `sd` (T,) m (NaN: not
+    said)."""
+    curve = points_on(vertices, rec.beam.length, rec.name, tracks.clamp)
+    own = (sd / np.sqrt(curve.share))[:, None]
+    own = np.where(np.isfinite(own), own, _noise(curve.xy, LEAST_SD, LEAST_SD))
+    return replace(
+        tracks,
+        xy=np.concatenate([tracks.xy, curve.xy], axis=1),
+        angle=np.concatenate([tracks.angle, unwrap(curve.angle)], axis=1),
+        sd=np.concatenate([tracks.sd, own], axis=1),
+        curve=POINTS,
     )
 
 
@@ -333,7 +374,7 @@ def line_frame(name: str, along: Array, points: Array, direction: float | None) 
 
 def _noise(values: Array, least: float, unknown: float) -> Array:
     """(n,) one sd of the noise of tracks (T, n, ...), from second differences; `unknown` where there are none."""
-    bends = np.abs(np.diff(values.reshape(*values.shape[:2], -1), n=2, axis=0)) / math.sqrt(6)
+    bends = np.abs(np.diff(np.atleast_3d(values), n=2, axis=0)) / math.sqrt(6)
     known = np.isfinite(bends).any(axis=(0, 2))
     sd = np.full(values.shape[1], unknown)
     sd[known] = np.maximum(MAD_TO_SD * np.nanmedian(bends[:, known], axis=(0, 2)), least)
@@ -349,11 +390,11 @@ def _held(values: Array) -> Array:
     return np.asarray(values[np.where(rows < 0, int(np.argmax(known)), rows)])
 
 
-def _refuse_missing(rec: Recording, table: Columns, xy: Array, wanted: list[int]) -> None:
-    """An error where a marker of recording.toml is nowhere in the table."""
+def _refuse_missing(rec: Recording, table: Columns, xy: Array, wanted: list[int], drawn: BoolArray) -> None:
+    """An error where a marker of recording.toml is nowhere in the table, whose `drawn` (N,) rows have no id."""
     present = np.asarray(np.isfinite(xy).all(axis=-1).any(axis=0)).tolist()
     if never := [marker for marker, shown in zip(wanted, present, strict=True) if not shown]:
-        in_table = _ids(sorted(set(table.get("id").tolist())))
+        in_table = _ids(sorted(set(table.get("id")[~drawn].tolist())))
         raise ObservationError(
             f"{table.path}: marker {_ids(never)} of {rec.name} has no place in any row; the table holds {in_table}. "
             "Correct the ids in recording.toml."
@@ -409,9 +450,10 @@ def signals_of_table(path: Path) -> SwingSignals:
 
 
 def signals_of_tracks(rec: Recording) -> SwingSignals:
-    """Of the markers of a recording, in the tracker's plane."""
-    tracks, ids = read_tracks(rec), [tag.id for tag in rec.tags.on_beam]
-    beam = tracks.xy[:, len(rec.tags.on_base) :]
+    """Of the markers of a recording, or of its curve, in the tracker's plane."""
+    tracks, base = read_tracks(rec), len(rec.tags.on_base)
+    ids = [*(tag.id for tag in rec.tags.on_beam), *range(POINT_ID, POINT_ID + tracks.curve)]
+    beam = tracks.xy[:, base:]
     return _places(rec.name, tracks.time, beam, ids)
 
 

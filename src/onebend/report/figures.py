@@ -32,7 +32,7 @@ from onebend.recording.photos import read_photo
 from onebend.recording.preview import Preview, bent
 from onebend.recording.signals import runs
 from onebend.recording.video import KeptFrames, roundest
-from onebend.records import Array, BoolArray, ForceLog, Observations, View
+from onebend.records import POINT_ID, Array, BoolArray, ForceLog, Observations, View, tags_among
 from onebend.report.overview import SOFTWARE, Overview, tared
 from onebend.report.pictures import Draw, Pictures, draw, film_of, film_strip, reason_of
 from onebend.report.style import (
@@ -394,7 +394,8 @@ def residuals(comparison: Comparison, title: str = "measured to simulated") -> F
             panels[1].plot(*residual[:, i].T, shape(i), color=tint, markersize=2.6, alpha=0.5, markeredgewidth=0)
     left.set(xlabel=_time_label(comparison), ylabel="distance [mm]", ylim=(0, None))
     left.set_title(f"{figure_text(comparison.name)}: {title}")
-    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=max(2, min(3, count)), fontsize=8)
+    columns = 3 if count > 2 and comparison.tag_id.max() < POINT_ID else 2
+    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=columns, fontsize=8)
     for plane in panels[1:]:
         plane.axhline(0, color=MUTED, linewidth=0.8)
         plane.axvline(0, color=MUTED, linewidth=0.8)
@@ -646,6 +647,7 @@ def _frame(axes: Axes, description: Recording, preview: Preview, log: ForceLog |
 
 
 MOST_PHOTOS = 4
+MOST_CURVES = 20  # of a film that are drawn
 
 
 def _photos(found: Overview) -> Figure:
@@ -715,12 +717,15 @@ def _plane(axes: Axes, found: Overview) -> None:
     if o.poses is not None and len(o.time) <= MOST_NAMED_POSES:
         _poses(axes, o, o.poses.name)
     else:
-        for i, tag in enumerate(o.tag_id.tolist()):
-            axes.plot(*(1000.0 * o.xy[:, i]).T, ".", markersize=3, label=f"tag {tag}, s = {o.marker_s[i]:.3g}")
+        tags = tags_among(o)
+        for i in np.flatnonzero(tags).tolist():
+            axes.plot(*(1000.0 * o.xy[:, i]).T, ".", markersize=3, label=f"tag {o.tag_id[i]}, s = {o.marker_s[i]:.3g}")
+        for curve in o.xy[np.linspace(0, len(o.time) - 1, MOST_CURVES).astype(int)][:, ~tags]:
+            axes.plot(*(1000.0 * curve).T, color=PINK, linewidth=0.8)
     axes.plot([0.0, 1000.0 * o.length], [0.0, 0.0], color=BLUE, linewidth=1.4, label="the beam's x axis")
     axes.plot([0.0], [0.0], "s", color=INK)
     axes.set_aspect("equal", adjustable="datalim")
-    shown = "poses of the points" if o.static else "frames of the tags"
+    shown = "poses" if o.static else "frames"
     axes.set(xlabel="x [mm]", ylabel="y [mm]", title=f"{len(o.time)} {shown}, as read")
     axes.legend(loc="best")
 

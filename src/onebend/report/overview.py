@@ -20,7 +20,7 @@ from onebend.recording.force import to_beam
 from onebend.recording.force_log import refuse_other_unit, size_remarks
 from onebend.recording.observe import FEWEST_FRAMES, observe
 from onebend.recording.pairing import check_direction, check_pace, read_log
-from onebend.recording.photos import traced_photos
+from onebend.recording.photos import photo_observations
 from onebend.recording.poses import read_loads, read_points
 from onebend.recording.preview import Preview, bent, displacement, look_at
 from onebend.recording.signals import outliers, step
@@ -88,8 +88,8 @@ def overview(folder: Path | str) -> Overview:
     preview = None if recording.video is None else look_at(recording)
     seen: Observations | None = None
     curves: tuple[OutlineTrack, ...] = ()
-    if recording.photos is not None and recording.traces_outline:
-        seen, curves = traced_photos(recording)
+    if recording.photos is not None:
+        seen, curves = photo_observations(recording)
     elif recording.video is None:
         seen = observe(recording)
     film = None if preview is None or recording.video is None else film_info(recording.video, preview)

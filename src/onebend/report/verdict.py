@@ -12,7 +12,7 @@ import numpy as np
 from onebend.beam.stiffness import half_width_words
 from onebend.errors import section
 from onebend.learning.frequencies import compared_frequencies, worst_off
-from onebend.learning.outcome import Comparison, another_beam, poor_fit
+from onebend.learning.outcome import Comparison, another_beam, motion_of, poor_fit
 from onebend.learning.posterior import Grade, Posterior
 from onebend.learning.run import Run
 from onebend.learning.verdict import cause, fitted_rms, possible
@@ -186,9 +186,8 @@ def _worst(of: ErrorOf, comparisons: Sequence[Comparison], rms: Sequence[Array])
     i = int(np.argmax(largest))
     one, values = comparisons[i], np.nan_to_num(rms[i], nan=-1.0)
     m = int(np.argmax(values))
-    seen = one.measured[:, m]
-    known = bool(np.isfinite(seen).any()) and values[m] >= 0.0
-    motion = float(np.linalg.norm(np.fmax.reduce(seen) - np.fmin.reduce(seen))) if known else math.nan
+    known = bool(np.isfinite(one.measured[:, m]).any()) and values[m] >= 0.0
+    motion = float(motion_of(one)[m]) if known else math.nan
     failed = of == "validation" and any(poor_fit(two, other=True) or another_beam(two) for two in comparisons)
     value = float(values[m]) if known else math.nan
     return _Error(

@@ -13,7 +13,7 @@ from onebend.beam.stiffness import UncertainStiffness, half_width_words
 from onebend.learning.attribution import GROUPS
 from onebend.learning.outcome import Comparison
 from onebend.learning.run import Run
-from onebend.records import POINT_ID, CleanForce, ClockOffset, Observations
+from onebend.records import CleanForce, ClockOffset, Observations, marker_words
 
 
 def name_of(findings: Run) -> str:
@@ -170,9 +170,8 @@ def worst_tag(comparison: Comparison) -> str:
 
 
 def tag_words(comparison: Comparison, index: int) -> str:
-    """A tag by its id in `recording.toml`, a point of the outline by its place."""
-    number = int(comparison.tag_id[index])
-    return f"tag {number}" if number < POINT_ID else f"the outline at s = {comparison.marker_s[index]:.2g}"
+    """As `marker_words`."""
+    return marker_words(int(comparison.tag_id[index]), float(comparison.marker_s[index]))
 
 
 def clock_words(clock: ClockOffset) -> str:

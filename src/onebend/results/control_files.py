@@ -12,8 +12,8 @@ from onebend.control.loop_simulation import SETTLED, LoopTrial
 from onebend.control.path import FollowedPath, PathSpread
 from onebend.control.reach import SURE, PredictedError, Reach, ReachInSetUp
 from onebend.control.shape import ShapeResult
-from onebend.control.trajectory_files import columns, write_bag, write_yaml
-from onebend.results.tables import write_csv
+from onebend.control.trajectory_files import columns, write_yaml
+from onebend.results.tables import write_columns, write_csv
 
 REACH_FORMAT = "onebend-reach-1"
 PATH_COLUMNS = ("step", "force_x_N", "force_y_N", "moment_N_m", "point_x_m", "point_y_m")
@@ -62,9 +62,8 @@ def reach_summary(
 
 def write_reach(folder: Path, result: Reach | ReachInSetUp) -> None:
     """`path.csv`: load and point from rest, on one branch."""
-    pairs = zip(result.path, result.path_points, strict=True)
-    rows = ([step, *(f"{value:.9g}" for value in (*load, *point))] for step, (load, point) in enumerate(pairs))
-    write_csv(folder / "path.csv", PATH_COLUMNS, rows)
+    columns = (np.arange(len(result.path)), *result.path.T, *result.path_points.T)
+    write_columns(folder / "path.csv", dict(zip(PATH_COLUMNS, columns, strict=True)))
 
 
 SHAPE_FORMAT = "onebend-shape-1"
@@ -116,9 +115,11 @@ def write_shape(folder: Path, result: ShapeResult) -> None:
     targets, spread, blank = result.targets, result.spread, np.full(len(result.targets.s), np.nan)
     sd = (blank, blank, blank) if spread is None else (*spread.xy.T, spread.angle)
     here = (*result.xy(targets.s).T, result.angle(targets.s))
-    _rows(folder / "targets.csv", TARGET_ROWS, (targets.s, *targets.xy.T, targets.angle, *here, *sd))
+    columns = (targets.s, *targets.xy.T, targets.angle, *here, *sd)
+    write_columns(folder / "targets.csv", dict(zip(TARGET_ROWS, columns, strict=True)))
     s = np.linspace(0.0, 1.0, 201)
-    _rows(folder / "shape.csv", SHAPE_ROWS, (s, *result.xy(s).T, result.angle(s)))
+    columns = (s, *result.xy(s).T, result.angle(s))
+    write_columns(folder / "shape.csv", dict(zip(SHAPE_ROWS, columns, strict=True)))
 
 
 def path_summary(model: str, way: FollowedPath, sure: PathSpread | None, *, written_by: str) -> dict[str, Any]:
@@ -141,18 +142,10 @@ def path_summary(model: str, way: FollowedPath, sure: PathSpread | None, *, writ
     }
 
 
-def write_path(folder: Path, way: FollowedPath, *, frame: str, bag: bool) -> None:
-    """CSV and ROS 2 YAML; with `bag` also a ROS 2 bag."""
-    table = columns(way)
-    _rows(folder / "path.csv", tuple(table), tuple(table.values()))
+def write_path(folder: Path, way: FollowedPath, *, frame: str) -> None:
+    """CSV and ROS 2 YAML."""
+    write_columns(folder / "path.csv", columns(way))
     write_yaml(folder, way, frame=frame)
-    if bag:
-        write_bag(folder / "bag", way, frame=frame)
-
-
-def _rows(file: Path, names: tuple[str, ...], columns: tuple[Any, ...]) -> None:
-    rows = np.stack(columns, axis=1)
-    write_csv(file, names, ([f"{value:.9g}" if np.isfinite(value) else "" for value in row] for row in rows))
 
 
 LOOP_FORMAT = "onebend-loop-1"

@@ -1,5 +1,5 @@
-"""Detections on disk, in the user's cache (`files.kept`) or a folder of the run, keyed by the SHA-256 of film, search
-settings and search code."""
+"""Detections on disk, in the user's cache (`files.kept`), keyed by the SHA-256 of film, search settings and search
+code."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import hashlib
 import io
 import json
 import zipfile
+import zlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -32,9 +33,9 @@ LIBRARIES = ("av", "pyapriltags")  # that read films and find tags
 
 @dataclass(frozen=True)
 class DetectionCache:
-    """Detections from the first folder that has them; new ones go to the first that accepts them."""
+    """Detections from a folder, which gets new ones; None: no cache."""
 
-    folders: tuple[KeptFolder, ...]
+    folder: KeptFolder | None
     version: str  # of onebend
     keep: Keep | None = None  # sees the frames of a searched film
 
@@ -42,23 +43,21 @@ class DetectionCache:
         self, video: VideoEntry, tags: TagsEntry, *, threads: int | None = None, progress: Progress = Silent()
     ) -> Detections:
         """As `detect_tags`, with the cache."""
+        if self.folder is None:
+            return detect_tags(video, tags, threads=threads, progress=progress, keep=self.keep)
         inputs = inputs_of(path for _, path in film_files(video))
         name = f"tags-{key_of(video, tags, self.version)}"
-        wanted = [tag.id for tag in (*tags.on_base, *tags.on_beam)]
-        found = next((d for folder in self.folders if (d := unpacked(folder.load(name), wanted)) is not None), None)
-        if found is not None:
-            return found
-        found = detect_tags(video, tags, threads=threads, progress=progress, keep=self.keep)
-        if all(one.is_still_there() for one in inputs):  # else the key is wrong
-            content = packed(found)
-            any(folder.save(name, content) for folder in self.folders)
+        found = unpacked(self.folder.load(name), [tag.id for tag in (*tags.on_base, *tags.on_beam)])
+        if found is None:
+            found = detect_tags(video, tags, threads=threads, progress=progress, keep=self.keep)
+            if all(one.is_still_there() for one in inputs):  # else the key is wrong
+                self.folder.save(name, packed(found))
         return found
 
 
-def detection_cache(version: str, workplace: Path | None = None, keep: Keep | None = None) -> DetectionCache:
-    """The user's cache, else `workplace`."""
-    folders = (users_folder(), None if workplace is None else KeptFolder(workplace))
-    return DetectionCache(tuple(one for one in folders if one is not None), version, keep)
+def detection_cache(version: str, keep: Keep | None = None) -> DetectionCache:
+    """The user's cache."""
+    return DetectionCache(users_folder(), version, keep)
 
 
 def key_of(video: VideoEntry, tags: TagsEntry, version: str) -> str:
@@ -119,7 +118,7 @@ def unpacked(content: bytes | None, wanted: Sequence[int]) -> Detections | None:
             width, height = (int(n) for n in data["size"])
             searched = None if data["searched"].all() else data["searched"]
             found = Detections(data["time"], data["tag_id"], data["corners"], width, height, remarks, searched)
-    except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile):
+    except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
         return None
     shape: tuple[Any, ...] = (len(found.time), len(wanted), 4, 2)
     fits = found.corners.shape == shape and (found.searched is None or found.searched.shape == shape[:1])

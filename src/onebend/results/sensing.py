@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import math
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from onebend.control.trajectory_files import header, typed, vector
-from onebend.errors import ExportError
-from onebend.extras import require
 from onebend.learning.sensing.forces import LEVEL
 from onebend.learning.sensing.sense import Sensed
 from onebend.learning.sensing.sensor import SensorCheck
 from onebend.records import Array
 from onebend.report.sentences import worded
-from onebend.results.tables import write_csv
+from onebend.results.tables import write_columns
 
 SENSE_FORMAT = "onebend-sense-1"
-BAG = "force.mcap"
 
 
 def sense_summary(model: str, found: Sensed, *, written_by: str) -> dict[str, Any]:
@@ -131,70 +126,6 @@ def _forces(name: str, force: Array, covariance: Array) -> dict[str, Array]:
     return {f"{name}{one}": values for one, values in zip(names, numbers, strict=True)}
 
 
-def write_forces(path: Path, found: Sensed) -> None:
-    """One row per frame; empty cells for unknown."""
-    columns = force_columns(found)
-    cells = (map("{:.4g}".format if name == "chi2" else _cell, values.tolist()) for name, values in columns.items())
-    write_csv(path, tuple(columns), zip(*cells, strict=True))
-
-
-def _cell(value: float) -> str:
-    return f"{value:.9g}" if math.isfinite(value) else ""
-
-
-def write_sensed(folder: Path, found: Sensed, *, bag: bool = False) -> None:
-    """`force.csv`; with `bag` also `force.mcap`."""
-    write_forces(folder / "force.csv", found)
-    if bag:
-        (folder / BAG).write_bytes(force_bag(found.time, found.force, found.covariance))
-
-
-FORCE_TOPIC, COVARIANCE_TOPIC = "/beam/force", "/beam/force_covariance"
-WRENCH, NUMBERS = "geometry_msgs/msg/WrenchStamped", "std_msgs/msg/Float64MultiArray"
-FRAME = "beam_base"  # x along the beam at rest, from its clamp
-_SECOND = 10**9  # ns
-_LATEST = 2**31  # s, beyond the range of stamps
-
-
-def force_bag(time: Array, force: Array, covariance: Array) -> bytes:
-    """A .mcap file with `force` (T, 2) [N] at `time` (T,) [s] as geometry_msgs/WrenchStamped in `/beam/force`, and
-    `covariance` (T, 2, 2) [N^2] as std_msgs/Float64MultiArray in `/beam/force_covariance`. Frames without a force
-    are left out; a stamp of zero becomes 1 ns. Raises `ExportError` without a force, or if a stamp cannot hold a
-    time."""
-    require(("rosbags",), "ros")
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    known = np.isfinite(force).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
-    time, force, covariance = time[known], force[known], covariance[known]
-    if not len(time):
-        raise ExportError("no frame has a force: there is nothing to write to a bag")
-    if not (np.isfinite(time).all() and time.min() >= 0.0 and time.max() < _LATEST):
-        raise ExportError(
-            f"a bag's stamps run from 0 to {_LATEST} s, and the recording's times from {time.min():.6g} to "
-            f"{time.max():.6g} s. Put its log's clock into that range"
-        )
-    store = get_typestore(Stores.LATEST)
-    with tempfile.TemporaryDirectory() as folder:
-        inside = Path(folder) / "force"
-        with Writer(inside, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-            wrenches = writer.add_connection(FORCE_TOPIC, WRENCH, typestore=store)
-            covariances = writer.add_connection(COVARIANCE_TOPIC, NUMBERS, typestore=store)
-            for at, of_frame, spread in zip(np.maximum(time, 1.0 / _SECOND), force, covariance, strict=True):
-                for connection, data in ((wrenches, _wrench(at, of_frame)), (covariances, _matrix(spread))):
-                    content = store.serialize_cdr(typed(store, connection.msgtype, data), connection.msgtype)
-                    writer.write(connection, round(float(at) * _SECOND), content)
-        return next(inside.glob("*.mcap")).read_bytes()
-
-
-def _wrench(seconds: float, force: Array) -> dict[str, Any]:
-    return {
-        "header": header(seconds, FRAME),
-        "wrench": {"force": vector(force[0], force[1], 0.0), "torque": vector(0.0, 0.0, 0.0)},
-    }
-
-
-def _matrix(covariance: Array) -> dict[str, Any]:
-    sides = [("row: fx_N, fy_N", 2, 4), ("column: fx_N, fy_N", 2, 2)]
-    dim = [dict(zip(("label", "size", "stride"), side, strict=True)) for side in sides]
-    return {"layout": {"dim": dim, "data_offset": 0}, "data": np.ascontiguousarray(covariance, dtype=float).ravel()}
+def write_forces(folder: Path, found: Sensed) -> None:
+    """`force.csv`: one row per frame; empty cells for unknown."""
+    write_columns(folder / "force.csv", force_columns(found))

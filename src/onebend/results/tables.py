@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -13,7 +13,7 @@ from onebend.beam.model import Beam
 from onebend.beam.section import modulus_band
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.learning.outcome import Comparison, Learned
-from onebend.records import StatedSection
+from onebend.records import Array, StatedSection
 from onebend.text_files import csv_cell
 
 if TYPE_CHECKING:  # for types only: the fit loads slowly
@@ -124,6 +124,12 @@ def write_validation(path: Path, comparisons: Sequence[Comparison]) -> None:
 def _number(value: float) -> str:
     """Nine significant digits; not for times, which may count from 1970."""
     return f"{float(value):.9g}"
+
+
+def write_columns(path: Path, columns: Mapping[str, Array]) -> None:
+    """Columns of numbers, equally long; an unknown number is an empty cell."""
+    cells = ([_number(value) if np.isfinite(value) else "" for value in one.tolist()] for one in columns.values())
+    write_csv(path, list(columns), zip(*cells, strict=True))
 
 
 def write_csv(path: Path, header: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:

@@ -24,7 +24,7 @@ from onebend.progress import end_now, end_with_parent
 from onebend.studio.filming import RecorderProcess
 from onebend.studio.jobs import Jobs
 from onebend.studio.places import StudioFolder
-from onebend.text_files import plain
+from onebend.text_files import to_json
 
 if TYPE_CHECKING:
     from onebend.studio.bending import Bending
@@ -52,18 +52,10 @@ class Client:
             while True:
                 message = await self.waiting.get()
                 try:
-                    text = text_of(message)
+                    text = to_json(message, readable=False)
                 except (ValueError, TypeError, RecursionError) as error:  # ours: the tab is told, and goes on
-                    text = text_of({"what": "error", "text": said_of(error)})
+                    text = to_json({"what": "error", "text": said_of(error)}, readable=False)
                 await self.socket.send_text(text)
-
-
-def text_of(message: dict[str, Any]) -> str:
-    """JSON; null for numbers that are not finite."""
-    try:
-        return json.dumps(message, allow_nan=False)
-    except ValueError:
-        return json.dumps(plain(message), allow_nan=False)
 
 
 _MOST_BEAMS = 8
@@ -144,7 +136,7 @@ class Desk:
             self._wanted[model] = (client.number, n, goal)
             self._drags.set()
         elif do == "set":
-            await self._set(model, settings)
+            await self._show(model, partial(self._beam(model).change, settings), tuple(self.clients))
 
     async def _watched(self, work: Awaitable[None], put: Callable[[dict[str, Any]], None]) -> None:
         """Reports any failure of the work."""
@@ -163,33 +155,28 @@ class Desk:
             while len(self.beams) >= _MOST_BEAMS:
                 self.forget(next(iter(self.beams)))
             self.beams.setdefault(model, bending)
-            self._spawn(self._map(model))
-        bending = self.beams[model]
-        shown = await self._in_thread(lambda: {"opened": bending.opened(), "answer": bending.still()})
-        client.put({"what": "beam", "model": model, **shown})
-        if bending.point.map is not None:
-            await self._show_map(model, bending, (client,))
-        if bending.hand is not None:
-            self._spawn(self._edge(model))
+        await self._show(model, lambda: None, (client,))
 
     def forget(self, model: str) -> None:
         """Drops a beam that was learned again, or one too many; viewers open it again."""
         if self.beams.pop(model, None) is not None:
             self.tell({"what": "forgotten", "model": model})
 
-    async def _set(self, model: str, settings: dict[str, Any]) -> None:
+    async def _show(self, model: str, change: Callable[[], None], clients: tuple[Client, ...]) -> None:
+        """The beam after a change of its settings, and its map."""
         bending = self._beam(model)
 
-        def change() -> dict[str, Any]:
-            bending.change(settings)
+        def changed() -> dict[str, Any]:
+            change()
             return {"opened": bending.opened(), "answer": bending.still()}
 
-        shown = await self._in_thread(change)
-        self.tell({"what": "beam", "model": model, **shown})
+        shown = await self._in_thread(changed)
+        for client in clients:
+            client.put({"what": "beam", "model": model, **shown})
         if bending.point.map is None:
             self._spawn(self._map(model))
         else:
-            await self._show_map(model, bending, tuple(self.clients))
+            await self._show_map(model, bending, clients)
         if bending.hand is not None:
             self._spawn(self._edge(model))
 

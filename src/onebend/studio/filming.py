@@ -19,7 +19,7 @@ from onebend.studio.places import RECORDING, StudioFolder, is_file, plain_word, 
 _PATIENCE = 20.0  # s for a stopped recorder to write everything
 _KEPT = 8  # pictures
 _LONGEST_SPEC = 1000
-_FILES = ("film", "log", "csv", "bag")  # source kinds that are files
+_FILES = ("film", "log", "csv")  # source kinds that are files
 _OF_A_RECORDING = {"film": "video", "log": "force"}  # their parts of a recording
 _CAMERA_FORMATS = ("avfoundation", "dshow")
 _STREAMS = ("rtsp://", "rtsps://", "rtmp://", "http://", "https://", "udp://", "tcp://", "srt://")

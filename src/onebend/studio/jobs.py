@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TextIO
 
 from onebend.errors import OnebendError, StudioError
 from onebend.text_files import to_json
@@ -180,11 +180,12 @@ class Lines:
         tell({"stage": stage, "done": done, "total": total})
 
 
-def tell(data: Mapping[str, Any]) -> None:
-    """A line; the reader may be gone."""
-    with contextlib.suppress(BrokenPipeError, OSError):
-        sys.stdout.write(to_json(data, ascii_only=True, readable=False) + "\n")
-        sys.stdout.flush()
+def tell(data: Mapping[str, Any], out: TextIO | None = None) -> None:
+    """A line on standard output or `out`; the reader may be gone."""
+    stream = out or sys.stdout
+    with contextlib.suppress(OSError, ValueError):
+        stream.write(to_json(data, ascii_only=True, readable=False) + "\n")
+        stream.flush()
 
 
 def process(work: Callable[[Mapping[str, Any]], None], *, alone: bool = True) -> int:

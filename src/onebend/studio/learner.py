@@ -1,6 +1,6 @@
 """The learning process, `python -m onebend.studio.learner`, with one JSON object on standard input.
 
-It does what `onebend learn` does, with progress as JSON lines. Interrupted, it keeps the tags and earlier results. It
+It does what `onebend learn` does, with progress as JSON lines. Interrupted, it keeps earlier results. It
 outlives the studio.
 """
 
@@ -31,7 +31,7 @@ def work(wanted: Mapping[str, Any]) -> None:
     try:
         inputs = inputs_of(recording_files([*recordings, *validate]))
         progress = Lines()
-        detect = detection_cache(onebend.__version__, place.work).detect
+        detect = detection_cache(onebend.__version__).detect
         run = learn(recordings[0], *recordings[1:], validate_on=validate, detect=detect, progress=progress)
         settings = {"fit": FitSettings(), "regression": RegressionSettings(), "observing": ObserveSettings()}
         made_from = provenance(inputs, wanted, settings)

@@ -158,12 +158,10 @@ def _about(path: Path) -> dict[str, Any]:
 
 
 # Access: only the page of this studio in a browser on this computer with the token. Every request must name this host
-# (against DNS rebinding) and show the cookie; changes and sockets must come from this page (`Origin`). Bodies are
-# bounded.
+# (against DNS rebinding) and show the cookie; changes and sockets must come from this page (`Origin`).
 
 MOST_STRANGERS = 64  # connections: as many as a system lets wait
 Address = tuple[str, int]
-LARGEST_BODY = 256 * 1024  # bytes
 SAFE_METHODS = ("GET", "HEAD")
 REFUSED = "Open the address that `onebend studio` shows in the terminal: it holds the key to this page.\n"
 
@@ -217,7 +215,7 @@ class Guard:
         if answer is not None:
             await answer(scope, receive, with_headers)
             return
-        await self._bounded(scope, receive, with_headers)
+        await self.app(scope, receive, with_headers)
 
     def _refusal(self, scope: Scope, headers: Headers) -> PlainTextResponse | RedirectResponse | None:
         """None: allowed."""
@@ -272,36 +270,6 @@ class Guard:
             await send(message)
 
         return sealed
-
-    async def _bounded(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """The application with a body of at most `LARGEST_BODY`, whatever its stated length."""
-        said = Headers(scope=scope).get("content-length", "0")
-        too_large = PlainTextResponse(f"At most {LARGEST_BODY} bytes are taken here.\n", 413)
-        if not said.isdecimal() or int(said) > LARGEST_BODY:
-            await too_large(scope, receive, send)
-            return
-        count, begun, cut = 0, False, False
-
-        async def counted() -> Message:
-            nonlocal count, cut
-            message = await receive()
-            count += len(message.get("body", b""))
-            cut = cut or count > LARGEST_BODY
-            return {"type": "http.disconnect"} if cut else message
-
-        async def noticed(message: Message) -> None:
-            nonlocal begun
-            if begun or not cut:
-                begun = True
-                await send(message)
-
-        try:
-            await self.app(scope, counted, noticed)
-        except Exception:
-            if not cut:
-                raise
-        if cut and not begun:
-            await too_large(scope, receive, send)
 
 
 def _same(one: str, other: str) -> bool:

@@ -7,8 +7,6 @@ of its input stops it, with a complete recording.
 
 from __future__ import annotations
 
-import base64
-import io
 import json
 import math
 import os
@@ -17,9 +15,8 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, TextIO
 
 from PIL import Image
 
@@ -27,16 +24,16 @@ from onebend import live
 from onebend.errors import OnebendError
 from onebend.live.commands import STAGE_NAMES
 from onebend.recording.folder import read_recording
-from onebend.recording.video import Picture
 from onebend.report.overview import overview
+from onebend.studio.jobs import tell
 from onebend.studio.learned import known_curve
-from onebend.text_files import to_json
+from onebend.studio.recordings import jpeg_in
 
 OFTEN = 0.2  # s between pictures
 WIDEST = 800  # px
 QUALITY = 60  # of JPEG
 _AS_THEY_ARE = (
-    *("advice", "displacement", "largest", "half_width", "wider", "until", "seconds", "frames", "drops", "samples"),
+    *("advice", "displacement", "largest", "half_width", "until", "seconds", "frames", "drops", "samples"),
     *("lost_samples", "bytes", "disk_left"),
 )
 _PATIENCE = 3.0  # s for the last messages
@@ -45,7 +42,7 @@ _PATIENCE = 3.0  # s for the last messages
 class Talk:
     """JSON lines to the studio from a separate thread, so that a slow studio never delays the film."""
 
-    def __init__(self, out: BinaryIO) -> None:
+    def __init__(self, out: TextIO) -> None:
         self._out, self._one = out, threading.Lock()
         self._newest: live.CaptureState | None = None
         self._new, self._over = threading.Event(), False
@@ -53,10 +50,8 @@ class Talk:
         self._thread.start()
 
     def tell(self, data: Mapping[str, Any]) -> None:
-        """The reader may be gone."""
-        with self._one, suppress(OSError, ValueError):
-            self._out.write((to_json(data, ascii_only=True, readable=False) + "\n").encode())
-            self._out.flush()
+        with self._one:
+            tell(data, self._out)
 
     def watch(self, state: live.CaptureState) -> None:
         """Of fast states the newest counts."""
@@ -87,7 +82,7 @@ def _said(state: live.CaptureState, before: live.CaptureState | None) -> dict[st
     """A state as a line; picture and curve only if new."""
     said: dict[str, Any] = {"state": state_data(state)}
     if state.picture is not None and (before is None or state.picture is not before.picture):
-        said["picture"] = base64.b64encode(small_jpeg(state.picture)).decode("ascii")
+        said["picture"] = jpeg_in(Image.fromarray(state.picture), WIDEST, QUALITY)
     if state.stiffness is not None and (before is None or state.stiffness is not before.stiffness):
         said["curve"] = known_curve(state.stiffness)
     return said
@@ -111,15 +106,6 @@ def state_data(state: live.CaptureState) -> dict[str, Any]:
         "clock_sd_s": state.clock_sd,
         **{name: getattr(state, name) for name in _AS_THEY_ARE},
     }
-
-
-def small_jpeg(picture: Picture) -> bytes:
-    """A picture (H, W), at most `WIDEST` wide."""
-    image = Image.fromarray(picture)
-    image = image.reduce(math.ceil(image.width / WIDEST)) if image.width > WIDEST else image
-    memory = io.BytesIO()
-    image.save(memory, format="JPEG", quality=QUALITY)
-    return memory.getvalue()
 
 
 def settings_of(wanted: Mapping[str, Any]) -> live.CaptureSettings:
@@ -166,7 +152,7 @@ def _lines(handle: int) -> Iterator[str]:
 
 def main() -> int:
     """0: recorded; 2: nothing recorded, or ended by a cable or the disk."""
-    lines, talk = _lines(os.dup(0)), Talk(os.fdopen(os.dup(1), "wb"))
+    lines, talk = _lines(os.dup(0)), Talk(os.fdopen(os.dup(1), "w"))
     nothing = os.open(os.devnull, os.O_RDWR)
     for handle in (0, 1):  # child processes must not hold the studio's pipes
         os.dup2(nothing, handle)

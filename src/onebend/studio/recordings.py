@@ -20,7 +20,7 @@ import numpy as np
 from PIL import Image
 
 from onebend.errors import RecordingError, ResultsError, StudioError
-from onebend.files.single_file import check_replaceable, replace_file, write_file
+from onebend.files.single_file import check_replaceable, write_file
 from onebend.recording.entries import FAMILIES, VideoEntry
 from onebend.recording.folder import check_text
 from onebend.recording.tag_finder import Finder
@@ -36,7 +36,7 @@ LARGEST_PICTURE = 16 * 2**20  # bytes
 WIDEST = 1100  # px
 QUALITY = 82  # of JPEG
 MOST_SHOWN = 200  # mistakes
-_saving = threading.Lock()  # for tabs of this studio; `replace_file` handles other programs
+_saving = threading.Lock()  # for tabs of this studio
 
 
 def answer(places: StudioFolder, what: str, asked: Mapping[str, Any]) -> dict[str, Any]:
@@ -139,13 +139,11 @@ def save(folder: Path, text: str, version: str) -> dict[str, Any]:
     path = folder / RECORDING
     with _saving:
         before = path.read_bytes()
-        found: bytes | None = before
         data = as_bytes(text, before)
         if version_of(before) == version:
-            found = replace_file(path, data, before)
-    if found is None:
-        return {"version": version_of(data)}
-    return {"conflict": True, "text": as_text(found[: MOST_TOML + 1]), "version": version_of(found)}
+            write_file(path, data, overwrite=True)
+            return {"version": version_of(data)}
+    return {"conflict": True, "text": as_text(before[: MOST_TOML + 1]), "version": version_of(before)}
 
 
 def begun(places: StudioFolder, name: str) -> dict[str, Any]:
@@ -178,16 +176,20 @@ def _frame(path: Path, topic: str, family: str, _changed: int, _size: int) -> di
         raise RecordingError(f"{path.name} holds no frame. Copy it again from the camera")
     image = Image.fromarray(found[1])
     seen = Finder(family).look(np.asarray(image.convert("L")))
-    small = image.copy()
-    small.thumbnail((WIDEST, WIDEST))
-    stream = io.BytesIO()
-    small.save(stream, format="JPEG", quality=QUALITY)
     return {
         "width": image.width,
         "height": image.height,
-        "picture": "data:image/jpeg;base64," + base64.b64encode(stream.getvalue()).decode("ascii"),
+        "picture": "data:image/jpeg;base64," + jpeg_in(image, WIDEST, QUALITY),
         "tags": [{"id": one.tag_id, "corners": one.corners.round(1).tolist()} for one in seen],
     }
+
+
+def jpeg_in(picture: Image.Image, widest: int, quality: int) -> str:
+    """A picture at most `widest` px wide or high as JPEG, in base64."""
+    small, memory = picture.copy(), io.BytesIO()
+    small.thumbnail((widest, widest))
+    small.save(memory, format="JPEG", quality=quality)
+    return base64.b64encode(memory.getvalue()).decode("ascii")
 
 
 def check_picture_of(places: StudioFolder, name: str) -> bytes:

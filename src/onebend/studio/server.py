@@ -15,6 +15,7 @@ from typing import Any
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response
 from starlette.routing import Route, WebSocketRoute
@@ -29,7 +30,7 @@ from onebend.text_files import to_json
 
 PAGE = Path(__file__).parent / "page"
 HOST = "127.0.0.1"
-LONGEST_MESSAGE = 64 * 1024  # bytes
+LONGEST_MESSAGE, LARGEST_BODY = 64 * 1024, 256 * 1024  # bytes
 FAULT = "Exception in ASGI application"  # as uvicorn logs an error that no handler has caught
 _MOST_RECORDINGS = 50
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
@@ -219,8 +220,13 @@ def _name(request: Request) -> str:
 
 
 async def _posted(request: Request) -> dict[str, Any]:
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > LARGEST_BODY:  # whatever its stated length
+            raise HTTPException(413, f"At most {LARGEST_BODY} bytes are taken here.\n")
     try:
-        data = json.loads(await request.body())
+        data = json.loads(body)
     except (ValueError, RecursionError) as error:
         raise StudioError("the page sent no JSON") from error
     if not isinstance(data, dict):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings, strategies as st
 
-from onebend.beam.clamped_ends import end_jacobian, end_pose, let_down
+from onebend.beam.clamped_ends import end_jacobian, end_pose
 from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.model import Beam
@@ -18,7 +18,7 @@ from onebend.beam.stiffness import Gaussians, Steps, Uniform
 from onebend.errors import MechanicsError
 from onebend.records import Array
 from tests.beam.boundary import shoot
-from tests.beam.held import ClampedEquilibrium, hold, hold_along
+from tests.beam.held import ClampedEquilibrium, hold, hold_along, let_down
 
 UNIT = Beam(1.0, Uniform(1.0))
 SOFT = Beam(0.15, Gaussians((0.0, 0.5, 1.0), 0.4, (0.01, 0.03, 0.02)))

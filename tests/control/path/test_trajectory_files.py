@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from rosbags.highlevel import AnyReader
 from ruamel.yaml import YAML
 
 from onebend.control.goals import Goals, curve, read_goals, read_targets
 from onebend.control.path import FollowedPath, PathSettings, follow_goals
 from onebend.control.shape import Grip, Pusher
-from onebend.control.trajectory_files import write_bag, write_yaml
+from onebend.control.trajectory_files import write_yaml
 from onebend.errors import ControlError
 from onebend.results.control_files import write_path
 from tests.control.shape.test_shape import SOFT, S, gripped
@@ -29,7 +27,7 @@ def way() -> FollowedPath:
 
 
 def test_csv_comes_back(way: FollowedPath, tmp_path: Path) -> None:
-    write_path(tmp_path, way, frame="table", bag=False)
+    write_path(tmp_path, way, frame="table")
     with (tmp_path / "path.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == len(way.time) == 51
@@ -58,26 +56,6 @@ def test_yaml_is_what_ros_would_read(way: FollowedPath, tmp_path: Path) -> None:
     many = [one for one in yaml.load_all(tmp_path / "push_1_wrench.yaml") if one is not None]
     assert len(many) == len(way.time)
     np.testing.assert_allclose([one["wrench"]["force"]["y"] for one in many], way.forces[:, 0, 1], rtol=1e-12)
-
-
-def test_bag_is_read_back(way: FollowedPath, tmp_path: Path) -> None:
-    write_bag(tmp_path / "bag", way)
-    times, forces = [], []
-    with AnyReader([tmp_path / "bag"]) as bag:
-        for connection, stamp, raw in bag.messages():
-            message: Any = bag.deserialize(raw, connection.msgtype)
-            assert message.header.frame_id == "beam_base"
-            if connection.topic == "/onebend/gripper/wrench":
-                times.append(stamp)
-                forces.append([message.wrench.force.x, message.wrench.force.y, message.wrench.torque.z])
-            if connection.topic == "/onebend/gripper/trajectory":
-                assert connection.msgtype == "trajectory_msgs/msg/MultiDOFJointTrajectory"
-                places = [[p.transforms[0].translation.x, p.transforms[0].translation.y] for p in message.points]
-                np.testing.assert_allclose(places, way.poses[:, :2], rtol=1e-12)
-                assert message.points[1].time_from_start.nanosec == 20_000_000
-    np.testing.assert_allclose(np.array(times) * 1e-9, way.time, atol=1e-9)
-    assert way.wrench is not None
-    np.testing.assert_allclose(forces, way.wrench, rtol=1e-12)
 
 
 def test_targets_from_a_file(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,16 @@ from typer.testing import CliRunner
 
 from onebend.cli import app
 from onebend.errors import MechanicsError, RecordingError
-from onebend.lab.sheet import LEFT, PAGES, RULER, Fill, Page, Sheet, pdf, strip_page, svg, tag_pages, write_pages
+from onebend.lab.sheet import LEFT, PAGES, RULER, Fill, Page, Sheet, files_of, strip_page, tag_pages
 from onebend.recording.entries import FAMILIES, BeamEntry, Recording, TagEntry, TagsEntry
 from tests.lab.printed import black_run, page_image, tags_in
 
 WITHIN = 0.05  # mm
+PDF, SVG = Path("t.pdf"), Path("t.svg")
+
+
+def pdf(pages: Sequence[Page], title: str) -> bytes:
+    return files_of(PDF, pages, title)[PDF]
 
 
 def recording(tags: TagsEntry, length: float = 0.15) -> Recording:
@@ -123,27 +129,27 @@ def test_a_long_beam_lies_across_the_page_and_a_longer_one_is_refused() -> None:
 
 def test_svg_says_the_same_as_the_pdf() -> None:
     (page,) = tag_pages(Sheet((3,), 0.012))
-    text = svg(page, "a & b")
-    assert 'width="210mm" height="297mm" viewBox="0 0 210 297"' in text
+    text = files_of(SVG, [page], "a & b")[SVG].decode()
+    assert re.search(r'width="595.27\d*pt" height="841.88\d*pt"', text)
     assert "a &amp; b" in text
-    (outline,) = re.findall(r'<path fill="black" d="([^"]*)"', text)
-    numbers = np.array([pair.split(",") for pair in re.findall(r"[-\d.]+,[-\d.]+", outline)], dtype=float)
+    outline = max(re.findall(r'd="([^"]*)"', text), key=len)
     (fill,) = [mark for mark in page.marks if isinstance(mark, Fill)]
-    np.testing.assert_allclose(numbers, fill.polygons.reshape(-1, 2), atol=1e-4)
+    found = np.array(re.findall(r"([-\d.]+) ([-\d.]+)", outline), dtype=float)
+    np.testing.assert_allclose(found * 25.4 / 72.0, fill.polygons.reshape(-1, 2), atol=1e-4)
 
 
-def test_the_pdf_is_whole_and_the_same_each_time(tmp_path: Path) -> None:
+def test_the_pdf_is_whole_and_the_same_each_time() -> None:
     pages = tag_pages(Sheet(tuple(range(40)), 0.03))
-    (path,) = write_pages(tmp_path / "t.pdf", pages, "t")
-    assert path.read_bytes() == pdf(pages, "t")
-    document = pypdfium2.PdfDocument(path.read_bytes())
+    made = pdf(pages, "t")
+    assert made == pdf(pages, "t")
+    document = pypdfium2.PdfDocument(made)
     try:
         text = document[0].get_textpage().get_text_range()
     finally:
         document.close()
     assert "Print at 100 %" in text
     assert "size_m = 0.03 * M / 100" in text
-    names = [path.name for path in write_pages(tmp_path / "t.svg", pages, "t")]
+    names = [path.name for path in files_of(SVG, pages, "t")]
     assert names == ["t.svg", *(f"t-{i}.svg" for i in range(2, len(pages) + 1))]
 
 
@@ -168,9 +174,9 @@ def test_an_id_beyond_the_family_is_refused() -> None:
         tag_pages(Sheet((587,)))
 
 
-def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
+def test_a_file_of_another_kind_is_refused() -> None:
     with pytest.raises(MechanicsError, match=r"\.pdf or \.svg"):
-        write_pages(tmp_path / "t.png", [Page(210.0, 297.0, ())], "t")
+        files_of("t.png", [Page(210.0, 297.0, ())], "t")
 
 
 def test_the_command_prints_a_sheet(tmp_path: Path) -> None:

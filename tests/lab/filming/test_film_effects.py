@@ -136,14 +136,14 @@ def test_effects_that_do_not_fit_the_film_are_refused(tmp_path: Path) -> None:
 def test_a_straight_uniform_beam_droops_as_a_cantilever() -> None:
     s = np.linspace(0.0, 1.0, 121)
     beam = Beam(0.15, Uniform(0.02), mass_per_length=Uniform(0.3))
-    xy = np.stack([0.15 * s, np.zeros(121)], axis=-1)[None]
-    z, slope = droop(beam, 0.003, s, xy, np.zeros((1, 121)))
+    z, slope = droop(beam, 0.003, s, np.stack([0.15 * s, 0.0 * s, 0.0 * s], axis=-1)[None])
     shape = (s**4 - 4 * s**3 + 6 * s**2) / 3.0
     np.testing.assert_allclose(z[0], -0.003 * shape, atol=1e-6)
     np.testing.assert_allclose(slope[0], -0.003 / 0.15 * np.gradient(shape, s, edge_order=2), atol=2e-5)
     curled = np.linspace(0.0, 2.0, 121)[None]
     bent = 0.15 / 120 * np.cumsum(np.stack([np.cos(curled), np.sin(curled)], axis=-1), axis=1)
-    assert -0.003 < droop(beam, 0.003, s, bent, curled)[0][0, -1] < 0.0  # a bent beam hangs less
+    poses = np.concatenate([bent, curled[..., None]], axis=-1)
+    assert -0.003 < droop(beam, 0.003, s, poses)[0][0, -1] < 0.0  # a bent beam hangs less
 
 
 def test_the_command_films_with_effects(tmp_path: Path) -> None:

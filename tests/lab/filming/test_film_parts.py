@@ -13,7 +13,7 @@ from onebend.beam.stiffness import Powers, Uniform
 from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.bench import PushProfile
 from onebend.lab.designs import DESIGNS
-from onebend.lab.filming import PLACES, BeamShapes, MotionSettings, as_printed, outlines, placed, shapes_at
+from onebend.lab.filming import PLACES, as_printed, between_places, outlines, placed, shapes_at
 from onebend.lab.random_bench import FilmRequest, filming_of, random_bench, random_tags
 from onebend.lab.rendering import LINES, Camera, PixelBox, all_seen, box_around, coverage, view_from
 from onebend.lab.virtual import VirtualBench, VirtualTag, tag_places, tag_poses
@@ -125,10 +125,8 @@ def test_a_printer_sets_edges_on_its_grid_and_cells_stay_neighbours(tag: int, ph
 def test_interpolation_is_exact_for_cubics() -> None:
     s = np.array([0.0, 0.004, 0.333, 0.5, 0.999, 1.0])
     values = np.stack([PLACES**3 - PLACES, 2.0 * PLACES**2])
-    shapes = BeamShapes(np.zeros(2), np.zeros((2, 2)), np.stack([values, -values], axis=-1), values)
-    xy, angle = shapes.at(s)
-    np.testing.assert_allclose(angle, np.stack([s**3 - s, 2.0 * s**2]), atol=1e-13)
-    np.testing.assert_allclose(xy, np.stack([angle, -angle], axis=-1), atol=1e-13)
+    found, exact = between_places(np.stack([values, -values, values], axis=-1), s), np.stack([s**3 - s, 2.0 * s**2])
+    np.testing.assert_allclose(found, np.stack([exact, -exact, exact], axis=-1), atol=1e-13)
 
 
 def test_a_slow_push_shows_exact_equilibria() -> None:
@@ -139,12 +137,12 @@ def test_a_slow_push_shows_exact_equilibria() -> None:
         tags=(VirtualTag(1, 0.37, across=0.001, turn=0.02), VirtualTag(2, 0.8), VirtualTag(3, 1.0, along=0.002)),
     )
     time = np.linspace(0.0, push.duration, 25)
-    xy, angle = shapes_at(BEAM, push, time).at(tag_places(bench))
+    found = between_places(shapes_at(BEAM, push, time), tag_places(bench))
     exact = tag_poses(
         replace(bench, tags=(VirtualTag(1, 0.37), VirtualTag(2, 0.8), VirtualTag(3, 1.0))), push.force(time)
     )
-    np.testing.assert_allclose(xy, exact[..., :2], atol=1e-8)
-    np.testing.assert_allclose(angle, exact[..., 2], atol=1e-6)
+    np.testing.assert_allclose(found[..., :2], exact[..., :2], atol=1e-8)
+    np.testing.assert_allclose(found[..., 2], exact[..., 2], atol=1e-6)
 
 
 def test_a_strongly_damped_beam_comes_to_rest_where_statics_say() -> None:
@@ -152,16 +150,16 @@ def test_a_strongly_damped_beam_comes_to_rest_where_statics_say() -> None:
     push = PushProfile(0.3, direction=1.6, before=0.05, rise=0.1, hold=0.9, fall=0.1, after=0.0, turn=0.0)
     time = np.array([0.0, 1.0])
     gravity = (0.0, -20.0)
-    moved = shapes_at(light, push, time, MotionSettings(gravity, swings=True, damping=0.1))
-    still = shapes_at(light, push, time, MotionSettings(gravity))
-    assert np.max(np.abs(still.xy[1] - still.xy[0])) > 0.03
-    np.testing.assert_allclose(moved.xy, still.xy, atol=5e-5)
+    moved = shapes_at(light, push, time, gravity=gravity, swings=True, damping=0.1)[..., :2]
+    still = shapes_at(light, push, time, gravity=gravity)[..., :2]
+    assert np.max(np.abs(still[1] - still[0])) > 0.03
+    np.testing.assert_allclose(moved, still, atol=5e-5)
 
 
 def test_weight_and_swinging_need_a_mass() -> None:
     bare = Beam(0.15, Uniform(0.02))
     with pytest.raises(MechanicsError, match="mass"):
-        shapes_at(bare, PushProfile(0.1), np.array([0.0, 1.0]), MotionSettings((0.0, -9.81)))
+        shapes_at(bare, PushProfile(0.1), np.array([0.0, 1.0]), gravity=(0.0, -9.81))
 
 
 def test_pushes_follow_what_is_asked_for() -> None:

@@ -64,7 +64,7 @@ def test_a_plan_for_a_script(model: Path) -> None:
 
 @pytest.mark.parametrize(
     "command",
-    [["plan"], ["export", "--to", "numpy"], ["damp", "NOWHERE"], ["validate", "NOWHERE"], ["rerun", "NOWHERE"]],
+    [["plan"], ["export", "--to", "numpy"], ["damp", "NOWHERE"], ["validate", "NOWHERE"]],
 )
 def test_a_doubted_model_is_named_wherever_it_is_used(known: Posterior, tmp_path: Path, command: list[str]) -> None:
     name, *more = command

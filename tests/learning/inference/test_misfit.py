@@ -58,7 +58,7 @@ def test_a_miss_of_a_few_times_the_tags_noise_is_none(exact: Prediction, times: 
     miss = missed(exact, times * noise, motion=noise)
     assert (miss is not None) == is_miss
     if miss is not None:
-        assert miss.tag == 2
+        assert miss.tag == "tag 2"
         assert miss.rms == pytest.approx(times * noise)
         assert miss.motion == pytest.approx(noise)
 

@@ -19,7 +19,7 @@ from onebend.learning.sensing.sense import SenseSettings, sense
 from onebend.records import Array, Observations
 from onebend.report.control_figures import sensing
 from onebend.report.pictures import draw
-from onebend.results.sensing import sense_summary, write_sensed
+from onebend.results.sensing import sense_summary, write_forces
 from onebend.text_files import to_json
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 from tests.learning.sensing.drawn import BAND, BEAM, drawn, place_off, shape_of
@@ -120,7 +120,7 @@ def test_files_screen_and_picture_of_a_moment(tmp_path: Path) -> None:
     assert moment is not None
     summary = sense_summary("model.json", found, written_by="test")
     to_json(summary)
-    write_sensed(tmp_path, found)
+    write_forces(tmp_path, found)
     assert not draw({"force": lambda: sensing(found)}).failed
     rows = list(csv.DictReader((tmp_path / "force.csv").read_text(encoding="utf-8").splitlines()))
     assert list(rows[0])[-10:] == [

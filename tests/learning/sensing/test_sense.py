@@ -24,7 +24,7 @@ from onebend.report.control_figures import sensed_regions, sensing
 from onebend.report.pictures import draw
 from onebend.report.sentences import worded
 from onebend.report.style import png_of
-from onebend.results.sensing import sense_summary, write_sensed
+from onebend.results.sensing import sense_summary, write_forces
 from onebend.text_files import to_json
 from tests.learning.bench import SOFT, forces, observed
 
@@ -218,7 +218,7 @@ def test_files_screen_and_picture(tmp_path: Path) -> None:
     summary = sense_summary("model.json", found, written_by="test")
     to_json(summary)
     pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
-    write_sensed(tmp_path, found)
+    write_forces(tmp_path, found)
     pictures.write(tmp_path)
     rows = list(csv.reader((tmp_path / "force.csv").read_text(encoding="utf-8").splitlines()))
     assert ",".join(rows[0]) == (

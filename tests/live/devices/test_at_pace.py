@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from onebend.live.force_sensors import AtiForce, AtiScale
-from onebend.live.played import PlayedCamera
 from onebend.live.session import record
 from onebend.live.sources import HostClock
 from onebend.report.overview import overview
 from tests.live.devices.test_ati import Box
+from tests.live.disturbed import Disturbances, DisturbedCamera
 from tests.live.played_push import CAMERA_CLOCK, SETTINGS, folder
 from tests.live.streamed import BIAS, DURATION, force_at, frames
 
@@ -43,7 +43,7 @@ def test_a_played_film_and_a_box_that_sends_become_a_recording(tmp_path: Path) -
 
     thread = threading.Thread(target=send, daemon=True)
     thread.start()
-    camera = PlayedCamera(shown, own=CAMERA_CLOCK)
+    camera = DisturbedCamera(shown, Disturbances(), CAMERA_CLOCK, 0)
     begun = time.monotonic()
     outcome = record(folder(tmp_path), camera, sensor, replace(SETTINGS, begin_at_once=True), clock=clock)
     assert time.monotonic() - begun > 0.7 * DURATION

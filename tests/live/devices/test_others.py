@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -13,7 +12,6 @@ import pytest
 from onebend.errors import MissingPackageError, RecordingError
 from onebend.live.sources import End, Frame, HostClock, PlayedClock, Samples
 from onebend.live.specs import camera_of, force_of
-from tests.recording.bagged import log, write_mcap
 
 
 class Hand(HostClock):
@@ -125,100 +123,17 @@ def test_a_franka_arm(module: Any) -> None:
         force_of("franka:nobody").open(Hand())
 
 
-class Inlet:
-    """`pylsl.StreamInlet`."""
-
-    chunks: tuple[tuple[list[list[float]], list[float]], ...] = (
-        ([[1.0, 5.0, 7.0], [2.0, 6.0, 8.0]], [10.0, 10.01]),
-        ([], []),
-    )
-
-    def __init__(self, info: object, recover: bool) -> None:
-        assert not recover
-        assert info is not None
-        self._chunks = iter(self.chunks)
-
-    def open_stream(self, timeout: float) -> None:
-        assert timeout > 0.0
-
-    def close_stream(self) -> None:
-        pass
-
-    def pull_chunk(self, timeout: float) -> tuple[list[list[float]], list[float]]:
-        assert timeout <= 0.01
-        if (chunk := next(self._chunks, None)) is None:
-            raise RuntimeError("the stream has been lost")
-        return chunk
-
-
-def test_a_stream_of_the_lab_streaming_layer(module: Any) -> None:
-    def resolve(prop: str, value: str, minimum: int, timeout: float) -> list[SimpleNamespace]:
-        assert (prop, minimum) == ("name", 1)
-        assert timeout > 0.0
-        return [SimpleNamespace(channel_count=lambda: 3)] if value == "cell" else []
-
-    module("pylsl", resolve_byprop=resolve, StreamInlet=Inlet)
-    sensor = force_of("lsl:cell,columns=fx_mN/_/fy_N")
-    sensor.open(Hand())
-    got = sensor.read(0.1)
-    assert isinstance(got, Samples)
-    assert got.stamp.tolist() == [10.0, 10.01]
-    assert got.force == pytest.approx(np.array([[0.001, 7.0], [0.002, 8.0]]))
-    assert sensor.read(0.1) is None
-    assert isinstance(sensor.read(0.1), End)
-    sensor.close()
-    with pytest.raises(RecordingError, match="has 3 channels, and columns names 2"):
-        force_of("lsl:cell,columns=fx_N/fy_N").open(Hand())
-    with pytest.raises(RecordingError, match="no such stream"):
-        force_of("lsl:else,columns=fx_N/fy_N").open(Hand())
-    with pytest.raises(RecordingError, match="say what its channels are"):
-        force_of("lsl:cell")
-
-
 @pytest.mark.parametrize(
     ("spec", "name", "extra"),
     [
         ("ur:robot", "rtde_receive", "ur"),
         ("franka:arm", "pylibfranka", "franka"),
-        ("lsl:cell,columns=fx_N/fy_N", "pylsl", "lsl"),
     ],
 )
 def test_a_package_that_is_missing_is_named(spec: str, name: str, extra: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, name, None)  # as if it were not installed
     with pytest.raises(MissingPackageError, match=rf"pip install 'onebend\[{extra}\]'"):
         force_of(spec).open(Hand())
-
-
-def test_a_bag_that_is_written(tmp_path: Path) -> None:
-    whole = log(count=400)
-    path = tmp_path / "push.mcap"
-    write_mcap(path, whole, chunk=2048)
-    data = path.read_bytes()
-    path.write_bytes(data[: len(data) // 2])
-    sensor, clock = force_of(f"bag:{path}"), Hand()
-    sensor.open(clock)
-    assert sensor.read(0.0) is None  # what was there before is left out
-    got = []
-    for size in (0.6, 0.7, 0.8, 1.0):
-        path.write_bytes(data[: int(size * len(data))])
-        clock.passed += 10.0
-        more = sensor.read(0.0)
-        assert isinstance(more, Samples)
-        got.append(more)
-    forces = np.concatenate([one.force for one in got])
-    assert forces == pytest.approx(whole.force[-len(forces) :])
-    assert np.diff(np.concatenate([one.stamp for one in got])) == pytest.approx(0.01)
-    assert 100 < len(forces) < 300  # the half that was there before is left out
-    clock.passed += 40.0
-    end = sensor.read(0.0)
-    assert isinstance(end, End)
-    assert "does not grow" in end.why
-    sensor.close()
-
-
-def test_a_bag_that_is_not_there_yet_is_told(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="is no bag"):
-        force_of(f"bag:{tmp_path / 'none.mcap'}").open(Hand())
 
 
 def test_what_ffmpeg_opens() -> None:

@@ -78,6 +78,13 @@ def test_tracks_tell_their_markers(tmp_path: Path) -> None:
     assert found_in_tracks(tmp_path / "markers.csv").beam == (3, 7)
 
 
+def test_a_trackers_curve_needs_no_markers(tmp_path: Path) -> None:
+    (tmp_path / "markers.csv").write_text("time_s,order,x_m,y_m\n0,1,0,0\n0,2,0.1,0\n")
+    text = write_template(tmp_path, "mocap").read_text()
+    assert "tags" not in text
+    assert 'file = "markers.csv"' in text
+
+
 def test_only_needed_keys_stand_there_unless_all_are_asked_for() -> None:
     few, all_keys = template(), template(everything=True)
     names = {row.split(" = ")[0] for row in few.splitlines() if " = " in row}

@@ -13,8 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from onebend.files.single_file import link_tree
-from onebend.lab import study
+from benchmarks.paper import study
 from onebend.progress import Progress, Silent
 from onebend.recording.entries import VideoEntry
 from onebend.recording.video import frame_at
@@ -424,7 +423,7 @@ def page(outcome: study.StudyOutcome, figures: Mapping[str, bytes], *, version: 
         "remarks": [f"{beam.name} beam, {text}" for beam in outcome.beams for text in beam.learned.remarks],
         "files": [file for file in FILES if setting.video or not file[0].startswith("recordings")],
     }
-    return render("onebend.lab", "study.html", figures, content)
+    return render("benchmarks.paper", "study.html", figures, content)
 
 
 def cards(outcome: study.StudyOutcome) -> list[dict[str, str]]:
@@ -529,11 +528,8 @@ def summary_of(outcome: study.StudyOutcome, *, written_by: str) -> dict[str, Any
 
 
 def write_report(folder: Path, outcome: study.StudyOutcome, figures: Mapping[str, bytes], *, version: str) -> None:
-    """Page, tables, recordings and learned beams. `figures`: PNGs by name."""
+    """Page and tables. `figures`: PNGs by name."""
     (folder / "report.html").write_text(page(outcome, figures, version=version), encoding="utf-8")
-    (folder / "tables").mkdir()
+    (folder / "tables").mkdir(exist_ok=True)
     for table in (*all_tables(outcome), *map(stiffness_curves, outcome.beams)):
         write_table(folder / "tables" / f"{table.key}.csv", table)
-    for name in (study.RECORDINGS, study.OBSERVED, study.LEARNED):
-        if (outcome.work / name).exists():
-            link_tree(outcome.work / name, folder / name)

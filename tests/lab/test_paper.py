@@ -12,11 +12,21 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from onebend.cli import app
-from onebend.errors import RecordingError, ResultsError
-from onebend.files.publish import files_in, seal, write_summary
-from onebend.lab.designs import DESIGNS
-from onebend.lab.study import (
+from benchmarks.paper.__main__ import app
+from benchmarks.paper.report import (
+    Cell,
+    ResultTable,
+    all_tables,
+    below_printed,
+    draw_figures,
+    page,
+    ranked,
+    selection_table,
+    summary_of,
+    validation_table,
+    write_report,
+)
+from benchmarks.paper.study import (
     BEAMS,
     STRATEGIES,
     TASKS,
@@ -38,25 +48,14 @@ from onebend.lab.study import (
     seen_through,
     sensor_of,
 )
-from onebend.lab.study_report import (
-    Cell,
-    ResultTable,
-    all_tables,
-    below_printed,
-    draw_figures,
-    page,
-    ranked,
-    selection_table,
-    summary_of,
-    validation_table,
-    write_report,
-)
+from onebend.errors import RecordingError, ResultsError
+from onebend.lab.designs import DESIGNS
 from onebend.learning.paper import information_criterion
 from onebend.progress import in_processes
 from onebend.records import Observations
-from onebend.report.pictures import Pictures
 from onebend.results.model import read_model
 from onebend.results.observations_file import load_observations, save_observations
+from onebend.text_files import to_json
 from tests import made_up
 
 TINY = StudySettings(seed=3, quick=True, video=False)
@@ -228,23 +227,13 @@ def test_page_is_whole_and_fetches_nothing(found: StudyOutcome) -> None:
         assert part in text
 
 
-def test_a_folder_is_written_whole(found: StudyOutcome, tmp_path: Path) -> None:
-    work, out = tmp_path / "work", tmp_path / "out"
-    (work / "learned").mkdir(parents=True)
-    (work / "learned" / "model.json").write_text("{}", encoding="utf-8")
-    out.mkdir()
-    pictures = Pictures({"summary": b"\x89PNG"})
-    write_report(out, replace(found, work=work), pictures.drawn, version="0")
-    pictures.write(out / "figures")
-    write_summary(out, summary_of(found, written_by="a test"))
-    seal(out, {})
-    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    assert set(files_in(out)) == set(summary["files"])
-    assert (work / "learned" / "model.json").exists()
-    assert (out / "learned" / "model.json").exists()
+def test_all_tables_are_written(found: StudyOutcome, tmp_path: Path) -> None:
+    write_report(tmp_path, found, {"summary": b"\x89PNG"}, version="0")
+    summary = json.loads(to_json(summary_of(found, written_by="a test")))
     assert summary["tables"]["table-II"]["rows"][5]["printed_M3_m"] == 0.0021
+    assert (tmp_path / "report.html").is_file()
     for table in all_tables(found):
-        with (out / "tables" / f"{table.key}.csv").open(encoding="utf-8") as file:
+        with (tmp_path / "tables" / f"{table.key}.csv").open(encoding="utf-8") as file:
             rows = list(csv.reader(file))
         assert tuple(rows[0]) == table.columns
         assert len(rows) == len(table.rows) + 1
@@ -252,7 +241,7 @@ def test_a_folder_is_written_whole(found: StudyOutcome, tmp_path: Path) -> None:
 
 def test_a_taken_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine", encoding="utf-8")
-    said = CliRunner().invoke(app, ["reproduce", "-o", str(tmp_path), "--quick", "--without-video"])
+    said = CliRunner().invoke(app, ["-o", str(tmp_path), "--quick", "--without-video"])
     assert said.exit_code == 2
     assert "not empty" in said.stderr
 
@@ -260,9 +249,7 @@ def test_a_taken_folder_is_refused(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_whole_paper_without_films(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    said = CliRunner().invoke(
-        app, ["reproduce", "-o", str(out), "--quick", "--without-video", "--seed", "1", "--json", "--quiet"]
-    )
+    said = CliRunner().invoke(app, ["-o", str(out), "--quick", "--without-video", "--seed", "1", "--json", "--quiet"])
     assert said.exit_code == 0, said.output
     summary = json.loads(said.stdout)
     assert summary["validations_below_printed"] == summary["validations_printed"] == 6

@@ -1,0 +1,1 @@
+"""The paper's experiments on virtual beams: films, learning, tables, figures, tasks (docs/reproduce.md)."""
