@@ -186,7 +186,7 @@ def test_both_flanks_tell_the_error_of_their_middle_and_how_long_it_lasts() -> N
     white = rng.normal(size=(2, 4000, 20))
     flanks = lfilter([np.sqrt(1.0 - rho**2)], [1.0, -rho], white, axis=1)
     found = outline.lasting_sd(flanks[0] - flanks[1])
-    middle_sd, time = np.sqrt(0.5), (1.0 + rho) / (1.0 - rho)
+    middle_sd, time = outline.SHARED * np.sqrt(0.5), (1.0 + rho) / (1.0 - rho)
     np.testing.assert_allclose(np.mean(found), middle_sd * np.sqrt(time), rtol=0.1)
 
 

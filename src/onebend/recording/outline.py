@@ -765,6 +765,7 @@ EVERY, MOST_READ = 0.1, 240  # s, pictures: so often, and in so many, is the out
 BESIDE = 3e-4  # m: one sd of where a tag's middle seems to lie, besides its placement
 MOVED = 5e-3  # of the length: a line that moves more against a tag is not the body's
 TURNED = 0.03  # rad, likewise by its direction there
+APART = 1.5  # times its own sds: tags curl and lie at heights of their own, so that both agree less
 
 
 def with_outline(
@@ -797,7 +798,7 @@ def with_outline(
         )
         outline = spread_over(outline, kept, len(number))
         hung: BoolArray = ~np.asarray(np.isfinite(detections.corners).any(axis=(1, 2, 3)))
-        outline = replace(outline, sd=np.where(hung[:, None], np.nan, outline.sd))
+        outline = replace(outline, sd=np.where(hung[:, None], np.nan, (APART if rec.tags.on_beam else 1.0) * outline.sd))
         both = measure_markers(detections, rec, outline)
         doubt = contradicted(both, rec)
     except ObservationError as wrong:
@@ -907,16 +908,16 @@ def lost_remarks(found: OutlineSearch) -> tuple[Remark, ...]:
 _NO_PLANES = Planes(np.zeros((2, 2), dtype=np.uint8), np.zeros((2, 2, 2), dtype=np.uint8))
 
 
+SHARED = 2.0  # sds of what both flanks show: light, walls and blur shift both alike, which their distance hides
+
+
 def lasting_sd(apart: Array) -> Array:
     """(n,) m, one sd of points in the middle of two flanks, as if their errors were new in each picture and alike
     nowhere; `apart` (T, n) m: by how much the flanks are farther apart than the body is wide, both errors being
     independent."""
     alike = np.nan_to_num(apart)
-    return np.asarray(
-        0.5
-        * np.sqrt(np.nan_to_num(nan_mean(apart**2)))
-        * np.sqrt(correlation_time(alike) * correlation_time(alike.T, longest=2))
-    )
+    times = correlation_time(alike) * correlation_time(alike.T, longest=2)
+    return np.asarray(0.5 * SHARED * np.sqrt(times) * np.sqrt(np.nan_to_num(nan_mean(apart**2))))
 
 
 def points_of(
