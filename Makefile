@@ -9,7 +9,7 @@ PYTHON ?= $(firstword $(foreach name,python3 python3.14 python3.13 python3.12 py
             $(shell $(name) -c '$(FITS)' 2>/dev/null && echo $(name))))
 
 # What the tests need beside the core and the group `dev` of pyproject.toml.
-EXTRAS := calibrate make ros sklearn studio
+EXTRAS := calibrate ros sklearn studio
 
 # One BLAS thread: the arrays are small and batched; threads are used where they pay (tag detection).
 export OPENBLAS_NUM_THREADS ?= 1

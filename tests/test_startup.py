@@ -20,7 +20,7 @@ from tests import made_up
 COMMANDS = all_commands()
 
 HEAVY = (
-    "scipy.stats", "scipy.signal", "matplotlib", "pyarrow", "trimesh", "manifold3d", "jinja2",
+    "scipy.stats", "scipy.signal", "matplotlib", "pyarrow", "jinja2",
     "pyapriltags", "multiprocessing.pool",
 )  # fmt: skip
 

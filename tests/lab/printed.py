@@ -1,13 +1,11 @@
-"""Measuring what was made: tags in a rendered page, widths in a mesh."""
+"""Measuring what was made: tags in a rendered page."""
 
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pypdfium2
-import trimesh
 from pyapriltags import Detector
 
 from onebend.records import Array
@@ -42,14 +40,3 @@ def black_run(image: np.ndarray, row: float, start: float, end: float) -> tuple[
     level = image[round(row / PX), round(start / PX) : round(end / PX)] < 128
     dark = np.flatnonzero(level)
     return start + float(dark[0]) * PX, start + float(dark[-1] + 1) * PX
-
-
-def width_at(mesh: trimesh.Trimesh, x: float, z: float) -> Array:
-    """Sorted y [mm] where a line along y at (x, z) goes through the surface."""
-    section: Any = trimesh.intersections.mesh_plane  # trimesh declares no types for it
-    lines = section(mesh, plane_normal=[1.0, 0.0, 0.0], plane_origin=[x, 0.0, 0.0])
-    (y0, z0), (y1, z1) = lines[:, 0, 1:].T, lines[:, 1, 1:].T
-    crossing = (z0 <= z) != (z1 <= z)
-    share = (z - z0[crossing]) / (z1[crossing] - z0[crossing])
-    found: Array = np.sort(y0[crossing] + share * (y1[crossing] - y0[crossing]))
-    return found

@@ -14,7 +14,7 @@ from onebend.results.model import save_model
 from tests import made_up
 
 ROOT = Path(__file__).parents[2]
-OF_EXTRAS = ("cv2", "lxml", "manifold3d", "networkx", "rosbags", "starlette", "trimesh")
+OF_EXTRAS = ("cv2", "rosbags", "starlette")
 VIDEO = str(ROOT / "examples/linear-beam/train/video.mp4")
 
 
@@ -25,8 +25,8 @@ def without_extras(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_a_missing_package_is_an_error_of_onebend_and_an_import_error() -> None:
-    with pytest.raises(MissingPackageError, match=r"no_such_package.*pip install 'onebend\[make\]'") as caught:
-        package("no_such_package", "make")
+    with pytest.raises(MissingPackageError, match=r"no_such_package.*pip install 'onebend\[calibrate\]'") as caught:
+        package("no_such_package", "calibrate")
     assert isinstance(caught.value, OnebendError)
     assert isinstance(caught.value, ImportError)
     assert caught.value.name == "no_such_package"
@@ -37,7 +37,6 @@ def test_a_missing_package_is_an_error_of_onebend_and_an_import_error() -> None:
 @pytest.mark.parametrize(
     ("extra", "arguments"),
     [
-        ("make", ("mould", "linear", "-o", "OUT")),
         ("ros", ("topics", "BAG")),
         ("calibrate", ("calibrate", VIDEO, "--board", "chessboard", "9x6", "--square-mm", "20")),
         ("studio", ("studio", ".")),

@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[2]
 # Those that take seconds need the result of `make demo` itself, or make films; the others do with a designed beam.
 DEAR = (
     "learn", "validate", "plan", "damp", "loop", "check",
-    "mould", "film", "calibrate", "rehearse", "batch",
+    "film", "calibrate", "rehearse", "batch",
     "population", "record", "drive",
 )  # fmt: skip
 ENDLESS = ("studio",)  # it serves until it is stopped; tests/studio/ starts it

@@ -21,12 +21,6 @@ COMMANDS = {
         "linear",
         group="Lab",
     ),
-    "mould": Place(
-        "onebend.lab.commands:mould",
-        "Make the mould of a design, the clamp and the tag carriers, as files to print.",
-        "linear -o out/mould",
-        group="Lab",
-    ),
     "tags": Place(
         "onebend.lab.commands:tags",
         "Draw a sheet of tags at exact size, with rulers to check the print.",

@@ -21,16 +21,6 @@ from .designs import (
     silicone as silicone,
     width_table as width_table,
 )
-from .fabrication import (
-    Mould as Mould,
-    MouldSettings as MouldSettings,
-    PrintedPart as PrintedPart,
-    TagSeat as TagSeat,
-    carriers as carriers,
-    clamp as clamp,
-    mould as mould,
-    write_mesh as write_mesh,
-)
 from .filming import Filming as Filming, film as film
 from .forecast import (
     BudgetEntry as BudgetEntry,

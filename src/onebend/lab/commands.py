@@ -1,17 +1,18 @@
-"""Commands for making beams: designs, moulds to print, sheets of tags."""
+"""Commands for designs, films and sheets of tags."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from io import StringIO
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 import typer
+from matplotlib.figure import Figure
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -19,8 +20,8 @@ from rich.table import Table
 from onebend.beam.stiffness import half_width
 from onebend.cli import BY, common
 from onebend.errors import MechanicsError, reference
-from onebend.files.single_file import check_name_free, write_files
-from onebend.lab import designs, fabrication
+from onebend.files.single_file import write_files
+from onebend.lab import designs
 from onebend.lab.bench import PATCH_OVER_TAG, effects_named
 from onebend.lab.filming import Filming, check, check_trackable, film as make_film, marker_recording
 from onebend.lab.random_bench import LABORATORY, BenchRanges, FilmRequest, design_with_effects, filming_of, random_bench
@@ -30,9 +31,11 @@ from onebend.recording.entries import FAMILIES
 from onebend.recording.folder import read_recording
 from onebend.report.pictures import Draw, draw
 from onebend.report.sentences import say, worded
+from onebend.report.style import BLUE, INK, blank, styled
 from onebend.report.wording import significant
 from onebend.results.model import StoredModel, model_text
-from onebend.results.provenance import inputs_of
+from onebend.results.tables import PLACES, csv_rows
+from onebend.text_files import figure_text
 
 Design = Annotated[
     str,
@@ -60,7 +63,9 @@ Markers = Annotated[
 ]
 Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="The same seed makes the same files.")]
 
-FILM_FORMAT = "onebend-film-1"
+FILM_FORMAT, DESIGN_FORMAT, TAGS_FORMAT = "onebend-film-1", "onebend-design-1", "onebend-tags-1"
+COLUMNS = ("s", "width_m", "EI_N_m2", "k_N_m", "mass_kg_m")  # of a design
+MM = 1e3  # of a metre
 DRAWN = "random"
 
 
@@ -161,22 +166,8 @@ def bends_table(expected: designs.Expected) -> Table:
     return table
 
 
-def show_parts(console: Console, made: fabrication.Mould, parts: Sequence[fabrication.PrintedPart], out: Path) -> None:
-    table = common.listing(f"Parts of {escape(made.design.name)}", "<part", "size [mm]", "plastic [cm^3]")
-    for part in parts:
-        size = " x ".join(f"{extent:.1f}" for extent in part.mesh.extents)
-        table.add_row(part.name, size, f"{part.mesh.volume / 1e3:.1f}")
-    console.print(table)
-    console.print(
-        f"Pour {1e6 * made.volume:.1f} ml ({1e3 * made.pour:.1f} g) of silicone. Files are in {escape(str(out))}."
-    )
-
-
 DesignName = Annotated[
     str | None, typer.Argument(metavar="DESIGN", help="uniform, linear, quadratic, cubic, or a design's TOML file.")
-]
-DesignOf = Annotated[
-    str, typer.Argument(metavar="DESIGN", help="uniform, linear, quadratic, cubic, or a design's TOML file.")
 ]
 NewDesign = Annotated[
     Path | None, typer.Option("--new", metavar="FILE", help="Write a design file to fill in, and nothing else.")
@@ -186,8 +177,6 @@ Picture = Annotated[Path | None, typer.Option("--picture", metavar="FILE", help=
 ModelFile = Annotated[
     Path | None, typer.Option("--model", metavar="FILE", help="Write the designed beam as a model.json.")
 ]
-PartsOutput = Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for the parts.")]
-Shape = Annotated[Literal["stl", "3mf"], typer.Option("--as", help="Kind of file.")]
 StripOf = Annotated[
     Path | None, typer.Argument(metavar="[REC]", help="A recording: its tags, and a page with their places.")
 ]
@@ -258,33 +247,9 @@ def design(
         write_files(_design_files(found, csv_file, picture, model), overwrite=overwrite)
     common.answer(
         as_json,
-        {"format": fabrication.DESIGN_FORMAT, "written_by": BY, **expected.as_dict()},
+        {"format": DESIGN_FORMAT, "written_by": BY, **expected.as_dict()},
         lambda console: show_design(console, expected),
     )
-
-
-def mould(
-    name: DesignOf,
-    *,
-    output: PartsOutput,
-    settings: fabrication.MouldSettings,
-    seat: fabrication.TagSeat,
-    shape: Shape = "stl",
-    picture: Picture = None,
-    overwrite: common.Overwrite = False,
-    as_json: common.Json = False,
-) -> None:
-    with common.clean_errors(), common.workplace(output, fabrication.MOULD_FORMAT, overwrite) as place:
-        if picture is not None:
-            check_name_free(picture, overwrite=overwrite)
-        made = fabrication.mould(designs.find_design(name), settings)
-        others = (*fabrication.clamp(made.design, settings, seat), fabrication.carriers(made.design, settings, seat))
-        parts = (*made.parts, *others, fabrication.PrintedPart("cast-beam", made.cast))
-        summary = fabrication.parts_summary(made, parts, written_by=BY)
-        tables = partial(fabrication.write_parts, parts=parts, shape=shape)
-        common.put_results(place, summary, tables, inputs=inputs_of([Path(name)]))
-        write_files(_picture(picture, partial(fabrication.parts_figure, parts)), overwrite=overwrite)
-    common.answer(as_json, summary, lambda console: show_parts(console, made, parts, output))
 
 
 def tags(
@@ -320,7 +285,7 @@ def tags(
         write_files(written, overwrite=overwrite)
     if as_json:
         data = {
-            "format": fabrication.TAGS_FORMAT,
+            "format": TAGS_FORMAT,
             "written_by": BY,
             "family": named,
             "size_m": side,
@@ -351,11 +316,43 @@ def _design_files(
 ) -> dict[Path, str | bytes]:
     files: dict[Path, str | bytes] = {}
     if csv_file is not None:
-        files[csv_file] = fabrication.design_csv(found)
-    files |= _picture(picture, partial(fabrication.design_figure, found))
+        files[csv_file] = design_csv(found)
+    files |= _picture(picture, partial(design_figure, found))
     if model is not None:
         files[model] = model_text(StoredModel(found.beam(), None, found.uncertain()), written_by=BY)
     return files
+
+
+def design_csv(design: designs.Design) -> str:
+    """The design at 201 places."""
+    s = np.linspace(0.0, 1.0, PLACES)
+    columns = (s, design.width(s), design.bending(s), design.along.stiffness(s), design.along.mass_per_length(s))
+    text = StringIO(newline="")
+    csv_rows(text, COLUMNS, ([f"{value:.9g}" for value in row] for row in zip(*columns, strict=True)))
+    return text.getvalue()
+
+
+@styled
+def design_figure(design: designs.Design) -> Figure:
+    """The cast outline to scale, and k(s) with the band of the modulus."""
+    s = designs.DENSE
+    figure, (outline, stiffness) = blank(4.2, rows=2, height_ratios=(1.0, 2.2))
+    x, half = MM * design.length * s, 0.5 * MM * np.asarray(design.width(s))
+    outline.fill_between(x, -half, half, color=BLUE, alpha=0.25, linewidth=0.0)
+    outline.plot(x, half, color=BLUE)
+    outline.plot(x, -half, color=BLUE)
+    sizes = f"{MM * design.length:g} mm long, {MM * design.depth:g} mm deep"
+    outline.set(aspect="equal", xlabel="along the beam [mm]", ylabel="across [mm]")
+    outline.set_title(f"{figure_text(design.name)}: {sizes}")
+    k = np.asarray(design.along.stiffness(s))
+    stiffness.plot(s, k, color=INK)
+    if design.modulus_log_sd > 0.0:
+        wide = np.exp(half_width(design.modulus_log_sd))
+        stiffness.fill_between(s, k / wide, k * wide, color=INK, alpha=0.15, linewidth=0.0, label="95 %, modulus alone")
+        stiffness.legend()
+    stiffness.set(xlim=(0.0, 1.0), ylim=(0.0, None), xlabel="place along the beam s", ylabel="k [N m]")
+    stiffness.set_title(f"E = {design.modulus / 1e6:.3g} MPa ({figure_text(design.source)})")
+    return figure
 
 
 def _picture(path: Path | None, make: Draw) -> dict[Path, str | bytes]:

@@ -588,7 +588,7 @@ def _instruments(setup: Setup) -> Iterator[Candidate]:
         yield "sensor", f"a force sensor {BETTER:g} times as good", replace(setup, sensor=better(sensor))
     seated = replace(setup, placement_sd=setup.placement_sd / BETTER, turn_sd=setup.turn_sd / BETTER)
     turn = np.rad2deg(seated.turn_sd)
-    words = f"place the tags to {1e3 * seated.placement_sd:.2g} mm and {turn:.2g} deg (printed carriers)"
+    words = f"place the tags to {1e3 * seated.placement_sd:.2g} mm and {turn:.2g} deg"
     yield "placement", words, seated
     if not setup.clock_sd <= SYNCHRONISED:  # NaN: found from the data
         yield "clock", f"clocks known to {1e3 * SYNCHRONISED:g} ms", replace(setup, clock_sd=SYNCHRONISED)

@@ -50,9 +50,6 @@ def test_the_scatter_of_the_relations_is_the_documented_one() -> None:
 
 def test_the_example_makes_a_beam(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     expected = make_a_beam.main(tmp_path / "made")
-    names = {path.stem for path in (tmp_path / "made").iterdir()}
-    assert names == {"mould-left", "mould-right", "clamp-lower", "clamp-cap", "carriers", "tags"}
     assert sorted(tags_in(page_image((tmp_path / "made" / "tags.pdf").read_bytes()))) == [0, 1, 2, 3]
     said = capsys.readouterr().out
-    assert "Pour" in said
     assert f"{expected.bends[0].force:.3f} N" in said

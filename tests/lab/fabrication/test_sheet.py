@@ -219,7 +219,6 @@ def test_the_commands_replace_no_file_unasked(tmp_path: Path) -> None:
         ["design", "linear", "--csv", str(mine["d.csv"])],
         ["design", "linear", "--picture", str(mine["d.png"]), "--csv", str(tmp_path / "new.csv")],
         ["design", "linear", "--model", str(mine["m.json"])],
-        ["mould", "linear", "-o", str(tmp_path / "parts"), "--picture", str(mine["d.png"])],
     ):
         done = CliRunner().invoke(app, asked)
         assert (done.exit_code, "exists already" in done.stderr) == (2, True), asked
