@@ -123,7 +123,7 @@ def test_beside_tags_the_set_up_and_the_planner_speak_of_the_tags() -> None:
 def test_an_outline_that_spoils_the_fit_is_left_out_of_it() -> None:
     both = beside_tags()
     assert both.traced is not None
-    far = np.where(both.traced, 0.004 * np.sin(9.0 * both.marker_s), 0.0) * np.linspace(0.0, 1.0, len(both.xy))[:, None]
+    far = np.where(both.traced, 2e-3, 0.0) * np.random.default_rng(0).normal(size=both.angle.shape)
     spoilt = fit([replace(both, xy=both.xy + far[..., None])])
     assert spoilt.without_outline
     tags = fit([read_alone(both)])

@@ -558,7 +558,8 @@ def through_tags(stations: Stations, tags: Markers) -> Array:
 
 def straightened(sights: Iterable[Sight], stations: Stations, state: Array) -> Straightened:
     """The pictures along the curves of these numbers (T, 1 + K)."""
-    colours, samples = [], []
+    colours: list[NDArray[np.uint8]] = []
+    samples: list[Array] = []
     for sight, one in zip(sights, state, strict=True):
         curve = stations.curve(np.nan_to_num(one))
         normal, scale = sight.outward(curve)
@@ -798,7 +799,9 @@ def with_outline(
         )
         outline = spread_over(outline, kept, len(number))
         hung: BoolArray = ~np.asarray(np.isfinite(detections.corners).any(axis=(1, 2, 3)))
-        outline = replace(outline, sd=np.where(hung[:, None], np.nan, (APART if rec.tags.on_beam else 1.0) * outline.sd))
+        outline = replace(
+            outline, sd=np.where(hung[:, None], np.nan, (APART if rec.tags.on_beam else 1.0) * outline.sd)
+        )
         both = measure_markers(detections, rec, outline)
         doubt = contradicted(both, rec)
     except ObservationError as wrong:
