@@ -103,13 +103,6 @@ def test_gravity_in_another_unit_is_refused(model: Path, targets: Path) -> None:
     assert "9810 m/s^2" in told.stderr
 
 
-def test_a_path_too_fast_is_refused(model: Path, goals: Path) -> None:
-    asked = ("--rate-Hz", "100", "--max-force-rate-N-per-s", "0.2", "--too-fast", "refuse")
-    done = run("path", model, "--goals", goals, *asked)
-    assert done.exit_code == 2
-    assert "its limit 0.2" in done.stderr.replace("\n", " ")
-
-
 @pytest.mark.parametrize(("row", "words"), [("1,140,50", "in millimetres"), ("1,-0.2,0.1", "nothing near the targets")])
 def test_targets_that_no_shape_comes_near_are_an_error(model: Path, tmp_path: Path, row: str, words: str) -> None:
     file = tmp_path / "far.csv"

@@ -52,13 +52,18 @@ def shape(turn: float = TURN) -> tuple[Array, Array]:
 
 
 def painted(
-    seen: View, under: Array | None = None, *, size: tuple[int, int] = (WIDTH, HEIGHT), turn: float = TURN
+    seen: View,
+    under: Array | None = None,
+    *,
+    size: tuple[int, int] = (WIDTH, HEIGHT),
+    turn: float = TURN,
+    half: float = HALF,
 ) -> Image.Image:
     """The body in a picture, before the grey picture `under` or a plain ground, with noise."""
     times = 10
     xy, angle = shape(turn)
     normal = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
-    flanks = np.concatenate([xy + HALF * normal, (xy - HALF * normal)[::-1]])
+    flanks = np.concatenate([xy + half * normal, (xy - half * normal)[::-1]])
     mask = Image.new("L", (times * size[0], times * size[1]), 0)
     ImageDraw.Draw(mask).polygon([tuple(one) for one in ((project(seen, flanks) + 0.5) * times - 0.5).tolist()], 255)
     share = np.asarray(mask.reduce(times), float)[..., None] / 255.0
@@ -106,6 +111,20 @@ def test_the_curve_lies_on_the_body_and_k_follows_from_its_weight(tmp_path: Path
     band = fit([observe(folder)]).band(np.array([0.3]))
     assert band.low[0] < K < band.high[0]
     assert abs(np.log(band.k[0] / K)) < 0.05
+
+
+def test_two_clicks_are_enough_for_a_body_of_its_own_colour(tmp_path: Path) -> None:
+    """The straight line between them leaves the body: what has the colour of the clicked pixels is the body."""
+    thin = 0.001
+    folder = folder_of(tmp_path / "two", painted(LEVEL, half=thin), LEVEL)
+    rows = (folder / "clicks.csv").read_text().splitlines()
+    (folder / "clicks.csv").write_text("\n".join([rows[0], rows[1], rows[-1]]) + "\n")
+    _, (curve,) = photo_observations(read_recording(folder))
+    true = project(LEVEL, shape()[0])
+    chord = true[0] + FINE[:, None] * (true[-1] - true[0])
+    assert float(np.max(np.linalg.norm(chord[:, None] - true[::40], axis=2).min(axis=0))) > 4.0 * SCALE * thin
+    away = np.linalg.norm(curve.px[0][:, None] - true, axis=2).min(axis=1)[np.isfinite(curve.sd[0])]
+    assert float(np.max(away)) < 0.15
 
 
 def test_the_scale_is_the_bodys_own_length(tmp_path: Path) -> None:

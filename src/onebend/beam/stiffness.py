@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -121,25 +120,6 @@ class Pieces(_Kind):
         series = np.asarray(self.coefficients).reshape(-1, self.degree + 1)
         values = np.sum(np.polynomial.legendre.legvander(x, self.degree) * series[piece], axis=-1)
         return np.asarray(values).reshape(places.shape)
-
-
-def taper(first: float, last: float) -> Pieces:
-    """Linear from base to tip."""
-    return Pieces((0.0, 1.0), 1, (0.5 * (first + last), 0.5 * (last - first)))
-
-
-def broken_line(s: tuple[float, ...], values: tuple[float, ...]) -> Pieces:
-    """Linear between values at places from 0 to 1; a place given twice is a jump.
-
-    Raises `MechanicsError`: places or values that do not match.
-    """
-    if len(s) != len(values) or len(s) < 2:
-        raise MechanicsError(f"a broken line needs one value a place, got {len(s)} places and {len(values)} values")
-    pairs = list(zip(s, values, strict=True))
-    lines = [(a, b) for a, b in pairwise(pairs) if b[0] != a[0]]
-    edges = (lines[0][0][0], *(end[0] for _, end in lines))
-    flat = [c for (_, u), (_, v) in lines for c in (0.5 * (u + v), 0.5 * (v - u))]
-    return Pieces(edges, 1, tuple(flat), edges[1:-1])
 
 
 def in_pieces(

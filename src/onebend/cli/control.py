@@ -96,7 +96,7 @@ def reach(
         wanted = np.array([*goal, *([] if goal_angle is None else [math.radians(goal_angle)])])
         setup, known = where.of(stored), stored.uncertain
         found: Reach | ReachInSetUp
-        if setup is None or known is None or settings.moment or settings.direction or settings.method == "paper":
+        if setup is None or known is None or settings.moment or settings.method == "paper":
             found = solve_reach(stored.beam, wanted, push_s=push_at, point_s=point, settings=settings)
             if not found.converged:
                 raise ControlError(found.reason)

@@ -130,9 +130,9 @@ def sense(
             found = sense_force(stored.beam, seen, stiffness=stored.uncertain, setup=setup, settings=settings)
             summary = sense_summary(str(model), found, written_by=BY)
             if work is not None:
-                from onebend.report.control_figures import sensed_regions, sensing  # here: loads Matplotlib
+                from onebend.report.control_figures import sensing  # here: loads Matplotlib
 
-                pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
+                pictures = draw({"force": lambda: sensing(found)})
                 inputs = inputs_of([model_file(model), *recording_files([recording])])
                 common.put_results(work, summary, partial(write_forces, found=found), pictures, inputs=inputs)
     common.answer(as_json, summary, lambda console: show_sensed(console, found, output), output)

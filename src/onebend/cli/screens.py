@@ -298,7 +298,7 @@ def show_sensed(console: Console, found: Sensed, output: Path | None) -> None:
         table.add_row(*row)
     console.print(table)
     console.print(remarks_list([(found.name, one) for one in worded(found.remarks)]))
-    say_written(console, output, "force.csv, force.png, regions.png, summary.json")
+    say_written(console, output, "force.csv, force.png, summary.json")
 
 
 def sensor_rows(check: SensorCheck | None) -> list[tuple[str, str]]:

@@ -445,9 +445,6 @@ class ReachSettings:
         metavar="1/M",
         within=POSITIVE,
     )
-    direction: float | None = option(
-        "--direction-deg", None, "The only direction of the force (0: along x).", metavar="DEG"
-    )
     moment: bool = option("--moment", False, "The gripper also applies a moment.")
     gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2
     tolerance: float = 1e-6  # m, of the point
@@ -455,8 +452,6 @@ class ReachSettings:
     paper: PaperSettings = field(default_factory=PaperSettings)
 
     def __post_init__(self) -> None:
-        if self.direction is not None and (self.moment or not math.isfinite(self.direction)):
-            raise ControlError("a force in one direction is one finite angle [rad], and goes without a moment")
         for name, words in (("max_force", "the largest force"), ("max_curvature", "the largest curvature")):
             value = getattr(self, name)
             if value is not None and not value > 0.0:
@@ -465,7 +460,7 @@ class ReachSettings:
                 object.__setattr__(self, name, None)
         if not self.tolerance > 0.0 or self.steps < 1:
             raise ControlError("the tolerance must be positive, and the path needs at least one step")
-        bounded = any(bound is not None for bound in (self.max_force, self.max_curvature, self.direction))
+        bounded = self.max_force is not None or self.max_curvature is not None
         if self.method == "paper" and (bounded or self.moment or any(self.gravity)):
             raise ControlError("the paper's iteration knows no bounds, moment or weight; take the method newton")
 

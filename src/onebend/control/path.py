@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -219,34 +218,13 @@ class RateLimits:
             raise ControlError(f"limits on rates must be positive, got {got}")
 
 
-@dataclass(frozen=True)
-class _Limited:
-    """A quantity at T moments, and the limit on its rate."""
-
-    name: str
-    unit: str
-    values: Array  # (T, d)
-    most: float  # per second
+_Limited = tuple[Array, float]  # (T, d) a quantity at T moments, and the limit on its rate per second
 
 
 def _excess(moving: list[_Limited], time: Array) -> Array:
     """(T - 1, n) rate over limit."""
     step = np.diff(time)
-    return np.stack([np.linalg.norm(np.diff(one.values, axis=0), axis=1) / step / one.most for one in moving], axis=1)
-
-
-def _refuse(moving: list[_Limited], time: Array) -> None:
-    """Raises `ControlError` with the first moment beyond a limit, and by how much."""
-    excess = _excess(moving, time)
-    broken = np.flatnonzero(np.any(excess > 1.0 + 1e-9, axis=1))
-    if broken.size:
-        i = int(broken[0])
-        j = int(np.argmax(excess[i]))
-        raise ControlError(
-            f"at {time[i]:.4g} s the rate of {moving[j].name} is {excess[i, j] * moving[j].most:.4g} "
-            f"{moving[j].unit}, its limit {moving[j].most:.4g}; the worst is {np.max(excess):.3g} times the limit. "
-            "Give the path more time, or let it be stretched"
-        )
+    return np.stack([np.linalg.norm(np.diff(values, axis=0), axis=1) / step / most for values, most in moving], axis=1)
 
 
 def _stretched(moving: list[_Limited], time: Array, smooth: int = 5) -> Array:
@@ -271,9 +249,6 @@ _MOMENTS_PER_SAMPLE = 4  # for rates
 class PathSettings:
     rate: float = option("--rate-Hz", 1000.0, "Samples of the path.", metavar="HZ", within=(1e-6, 1e6))
     limits: RateLimits = field(default_factory=RateLimits)
-    too_fast: Literal["stretch", "refuse"] = option(
-        "--too-fast", "stretch", "Where a rate limit is exceeded: take more time, or stop with an error."
-    )
     shape: ShapeSettings = field(default_factory=ShapeSettings)
 
 
@@ -338,8 +313,8 @@ def follow_goals(
 ) -> FollowedPath:
     """The controls that follow the goals as closely as possible, from the first goal on.
 
-    Raises `ControlError` with the time: goals that do not determine the actuators, no stable way, too many samples, or
-    an exceeded rate with `too_fast` "refuse". Raises `MechanicsError`: k(s) not positive.
+    Raises `ControlError` with the time: goals that do not determine the actuators, no stable way, or too many
+    samples. Raises `MechanicsError`: k(s) not positive.
     """
     if not settings.rate > 0.0:
         raise ControlError(f"a rate of samples must be positive, got {settings.rate:g} Hz")
@@ -417,8 +392,6 @@ class _KnottedPath:
                 )
             if not moving or np.max(_excess(moving, time)) <= 1.0 + 1e-9:
                 break
-            if self.settings.too_fast == "refuse":
-                _refuse(moving, time)
             goal_time, near = self._slower(moving, frames, time, goal_time, everywhere=trial > 1)
         xy, angle = goals.along(goal_time)
         residuals = target_residuals_along(actuators.solved(frames.q, frames.u), goals.targets, xy, angle, self.arm)
@@ -478,14 +451,12 @@ class _KnottedPath:
     def _moving(self, frames: PathSamples) -> list[_Limited]:
         """Quantities with a finite limit."""
         limits, every = self.settings.limits, []
-        for i, pusher in enumerate(self.actuators.pushes):
-            force = frames.u[:, 2 * i : 2 * i + 2]
-            every.append(_Limited(f"the force at s = {pusher.at_s:g}", "N/s", force, limits.force))
+        for i in range(len(self.actuators.pushes)):
+            every.append((frames.u[:, 2 * i : 2 * i + 2], limits.force))
         if self.actuators.grip is not None:
             poses = end_pose(self.actuators.problem, frames.q)
-            every.append(_Limited("the gripper's place", "m/s", poses[:, :2], limits.speed))
-            every.append(_Limited("the gripper's angle", "rad/s", poses[:, 2:], limits.turning))
-        return [one for one in every if np.isfinite(one.most)]
+            every += [(poses[:, :2], limits.speed), (poses[:, 2:], limits.turning)]
+        return [one for one in every if np.isfinite(one[1])]
 
     def _warnings(self, miss: Array, goal_time: Array, margin: Array, frames: PathSamples) -> tuple[str, ...]:
         out, knots = [], self.knots

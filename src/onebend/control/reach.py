@@ -188,7 +188,6 @@ def sampled(pushed: PushedBeam, settings: ReachSettings) -> ReachableSet:
         point_s=pushed.point_s,
         max_force=settings.max_force or float(_FORCE_WITHOUT_BOUND * pushed.force_scale),
         max_curvature=settings.max_curvature,
-        direction=settings.direction,
         directions=36,
         sizes=8,
         gravity=settings.gravity,
@@ -377,7 +376,7 @@ def reach(
         return _by_paper(pushed, wanted, settings)
     samples = partial(sampled, pushed, settings)
     far, candidate = _too_far(pushed, wanted), None
-    if not far and settings.direction is None:
+    if not far:
         candidate = search(pushed, wanted, settings, samples)
         if candidate is not None and not candidate.wrong:
             return _result(resolved(candidate, wanted, settings), wanted, settings, "")
@@ -407,11 +406,10 @@ def _unreached(pushed: PushedBeam, goal: Array, settings: ReachSettings, known: 
 def _why(pushed: PushedBeam, goal: Array, settings: ReachSettings, known: str, nearest: NearestPoint) -> str:
     """Why the goal is not reached, and the nearest alternative."""
     if not known:
-        way = "" if settings.direction is None else f" at {math.degrees(settings.direction):.4g} deg"
         most = "" if settings.max_force is None else f" of up to {settings.max_force:.3g} N"
         bent = "" if settings.max_curvature is None else f" within {settings.max_curvature:.3g} 1/m"
         load = "load" if settings.moment else "force"
-        known = f"no {load}{most}{way} has a stable shape{bent} there to which the beam comes from rest"
+        known = f"no {load}{most} has a stable shape{bent} there to which the beam comes from rest"
     by = "a force and a moment" if settings.moment else "a force"
     known += "" if known.endswith("?") else "."
     angle = f" at {math.degrees(goal[2]):.4g} deg" if len(goal) > 2 else ""

@@ -95,13 +95,10 @@ class ReachableSet:
     def _refine(self, way: tuple[LoadedState, ...], goal: Array) -> NearestPoint:
         """Gauss-Newton in the disc of forces, followed as equilibria."""
         pushed, least = self.pushed, _LEAST_SHARE_OF_LENGTH * float(self.pushed.problem.length)
-        forces = np.eye(2) if len(self.force) > 1 else np.asarray(self.force[0, -1] / self.max_force)[:, None]
         for _ in range(_MOST_STEPS):
             if float(np.linalg.norm(goal - pushed.pose(way[-1].q)[:2])) < least:
                 break
-            ahead = _nearer(
-                pushed, way[-1], goal, self.max_force, forces, _HALVES, _SHORTEST_FOLLOW, least, self._allowed
-            )
+            ahead = _nearer(pushed, way[-1], goal, self.max_force, _HALVES, _SHORTEST_FOLLOW, least, self._allowed)
             if ahead is None:
                 break
             way = (*way, *ahead.states[1:])
@@ -120,7 +117,6 @@ def reachable(
     point_s: float = 1.0,
     max_force: float,
     max_curvature: float | None = None,
-    direction: float | None = None,
     directions: int = 72,
     sizes: int = 12,
     gravity: ArrayLike = (0.0, 0.0),
@@ -129,7 +125,6 @@ def reachable(
 
     Args:
         max_curvature: 1/m beyond that at rest.
-        direction: rad, the only direction of the force.
         directions, sizes: numbers of sampled forces.
         gravity: (2,) m/s^2 in the beam's frame.
 
@@ -143,8 +138,7 @@ def reachable(
         raise ControlError(f"at least 3 directions and 1 size are sampled, got {directions} and {sizes}")
     x, y = np.asarray(gravity, dtype=float).tolist()
     pushed = prepared(beam, push_s, point_s, (x, y), Resolution())
-    even = np.arange(directions) * (2.0 * np.pi / directions)
-    turns = np.asarray(even if direction is None else [direction], dtype=float)
+    turns = np.linspace(0.0, 2.0 * np.pi, directions, endpoint=False)
     grow: Array = max_force * np.arange(1, sizes + 1) / sizes
     q, points = _sampled(pushed, turns, grow)
     if max_curvature is not None:
@@ -157,31 +151,28 @@ def _nearer(
     state: LoadedState,
     goal: Array,
     most: float,
-    forces: Array,
     shares: tuple[float, ...],
     shortest: float,
     least: float,
     allowed: Callable[[LoadedState], bool] = lambda _: True,
 ) -> EquilibriumPath | None:
-    """A Gauss-Newton step towards a goal by forces (2, P) up to `most` N, followed as an equilibrium; the first of
+    """A Gauss-Newton step towards a goal by forces up to `most` N, followed as an equilibrium; the first of
     `shares` that approaches by `least` m, or None."""
-    s = pushed.response(state)[:2, :2] @ forces
+    s = pushed.response(state)[:2, :2]
     if not np.all(np.isfinite(s)):
         return None
-    away, now = goal - pushed.pose(state.q)[:2], forces.T @ state.load[:2]
-    aim = best_in_ball(s, s @ now + away, most, one_sided=forces.shape[1] == 1)
+    away, now = goal - pushed.pose(state.q)[:2], state.load[:2]
+    aim = best_in_ball(s, s @ now + away, most)
     for share in shares:
-        way = trace(pushed, np.append(forces @ (now + share * (aim - now)), 0.0), start=state, shortest=shortest)
+        way = trace(pushed, np.append(now + share * (aim - now), 0.0), start=state, shortest=shortest)
         there = float(np.linalg.norm(goal - pushed.pose(way.states[-1].q)[:2]))
         if way.arrived and allowed(way.states[-1]) and there < float(np.linalg.norm(away)) - least:
             return way
     return None
 
 
-def best_in_ball(s: Array, wanted: Array, radius: float, *, one_sided: bool) -> Array:
-    """(P,) x with |x| <= radius that minimises |S x - wanted|; one number: 0 <= x <= radius."""
-    if one_sided:
-        return np.array([np.clip(float(s[:, 0] @ wanted) / max(float(s[:, 0] @ s[:, 0]), 1e-300), 0.0, radius)])
+def best_in_ball(s: Array, wanted: Array, radius: float) -> Array:
+    """(P,) x with |x| <= radius that minimises |S x - wanted|."""
     u, d, vt = np.linalg.svd(s)
     c = d * (u.T @ wanted)
 
@@ -518,7 +509,7 @@ class DraggedPoint(_Hand):
     def _approach(self, goal: Array) -> bool:
         """Approaches a goal within the bound, step by step; whether it arrived."""
         for _ in range(_SLIDES):
-            way = _nearer(self.pushed, self.state, goal, self.max_force, np.eye(2), (1.0, 0.3, 0.1), 0.05, _LEAST_DRAG)
+            way = _nearer(self.pushed, self.state, goal, self.max_force, (1.0, 0.3, 0.1), 0.05, _LEAST_DRAG)
             if way is None:
                 return False
             self.state = way.states[-1]
@@ -580,7 +571,7 @@ class HeldEnd(_Hand):
             return None
         away, now = wanted[:2] - here[:2], self.state.load[:2]
         plane = s[:2, :2] - np.outer(s[:2, 2], s[2, :2]) / s[2, 2]  # the moment keeps the angle
-        aim = plane @ (best_in_ball(plane, plane @ now + away, 0.998 * self.max_force, one_sided=False) - now)
+        aim = plane @ (best_in_ball(plane, plane @ now + away, 0.998 * self.max_force) - now)
         for share in (1.0, 0.3, 0.1):
             goal = np.append(here[:2] + share * aim, here[2])
             nearer = float(np.hypot(*(wanted - goal)[:2])) < float(np.hypot(*away)) - _ON_GOAL

@@ -28,7 +28,7 @@ from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, make_problem
 from onebend.beam.section import SectionProfiles, rectangular_bar
 from onebend.beam.statics import found_near, tangent
-from onebend.beam.stiffness import Powers, Profile, Steps, Table, UncertainStiffness, Uniform, broken_line
+from onebend.beam.stiffness import Polyline, Powers, Profile, Steps, Table, UncertainStiffness, Uniform
 from onebend.beam.vibration import vibration
 from onebend.errors import MechanicsError, ResultsError
 from onebend.files.single_file import write_file
@@ -420,8 +420,10 @@ def _width(table: Any, mistakes: Mistakes) -> Profile | None:
     elif any(b <= a for a, b in pairwise(entry.s)):
         mistakes.add(("width", "s"), "[width] s must rise from place to place.")
     else:
-        make = broken_line if entry.between == "straight" else width_table
-        return make(entry.s, entry.width) if tabled else Powers(entry.polynomial)
+        if not tabled:
+            return Powers(entry.polynomial)
+        straight = entry.between == "straight"
+        return Polyline(entry.s, entry.width, entry.s[1:-1]) if straight else width_table(entry.s, entry.width)
     return None
 
 

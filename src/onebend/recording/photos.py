@@ -30,6 +30,7 @@ from onebend.recording.outline import (
     POINTS,
     STATES,
     STATION,
+    STEP,
     Curve,
     OutlinedBody,
     OutlineSearch,
@@ -258,6 +259,9 @@ ROUNDS = 3  # of the scale, where the body's own length gives it
 PIECES = 8  # of the body, whose width is looked for
 ALIKE = 0.3  # of the usual width: another is of something else
 CLICKED = 2.0  # px: sd of a click
+REACHED = 0.2  # of the length: so far from the curve through the clicks may the body be
+STRAY = 0.3  # of the way to the nearest click: so far off may the curve through the clicks be there
+SIMILAR = 0.35  # of how unlike the clicked colour most of the surroundings are: what is less unlike is the body
 
 
 @dataclass(frozen=True)
@@ -416,7 +420,17 @@ def found_in(rec: Recording, picture: str, image: Image.Image, view: View, click
     end = STATION * smaller / long  # an edge that ends there is none
     shown = (s > end) & (s < clicks.s - end)
     state = through(stations, to_plane(view, clicks.px), clicks.s)
-    return FoundBody(name, sight, smaller, stations, shown, along(sight, stations, state, shown, name, width))
+    body = along(sight, stations, state, shown, width)
+    if body is None:
+        body = along(sight, stations, caught(sight, stations, state, shown, clicks, smaller), shown, width)
+    if body is None:
+        raise ObservationError(
+            f"{name}: no body is seen along the clicks: no two edges run beside them. Are they of this picture, "
+            "upright as it is shown, and along the middle of the body, more of them where it bends? Does it stand out "
+            "from its background?",
+            about="outline",
+        )
+    return FoundBody(name, sight, smaller, stations, shown, body)
 
 
 def found_by_length(rec: Recording, picture: str, clicks: Clicks, clamp: float) -> FoundBody:
@@ -453,12 +467,43 @@ def feet_on(curve: Curve, stations: Stations, points: Array) -> tuple[Array, Arr
     return stations.s[nearest] + on / stations.length, curve.xy[nearest] + on[:, None] * tangent
 
 
-def along(sight: Sight, stations: Stations, state: Array, shown: BoolArray, name: str, width: float) -> OutlinedBody:
-    """The body along the curve of `state` where it is `shown` (M,), `width` m near the clamp (NaN: unknown).
+def caught(sight: Sight, stations: Stations, state: Array, shown: BoolArray, clicks: Clicks, smaller: int) -> Array:
+    """(1 + K,) numbers of a curve nearer to the middle of what has the colour of the clicked pixels, where the clicks
+    are few and the curve through them leaves the body between them."""
+    px = (clicks.px + 0.5) / smaller - 0.5
+    inward = np.array([px[1] - px[0], *np.zeros((len(px) - 2, 2)), px[-2] - px[-1]])
+    inward *= STATION / np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), STATION)  # off the body's ends
+    around = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]), axis=-1).reshape(-1, 2)
+    colours = np.nanmedian(sight.planes.at((px + inward)[:, None] + around), axis=1)  # (n, 3)
+    for _ in range(ROUNDS):
+        curve = stations.curve(state)
+        places, _ = feet_on(curve, stations, to_plane(sight.view, px))
+        own = np.stack([np.interp(stations.s, np.maximum.accumulate(places), one) for one in colours.T], axis=1)
+        normal, scale = sight.outward(curve)
+        out = np.arange(-REACHED, REACHED, STEP / float(np.median(scale) * stations.length)) * stations.length  # m
+        seen = sight.planes.at(sight.pixels(curve.xy)[:, None] + (out * scale[:, None])[..., None] * normal[:, None])
+        unlike = np.linalg.norm(seen - own[:, None], axis=-1)
+        like = unlike < SIMILAR * np.nan_to_num(np.nanquantile(unlike, 0.8, axis=1))[:, None]
+        off = np.array([_nearest_run(one, out) for one in like])
+        gap = stations.length * np.abs(stations.s[:, None] - places).min(axis=1)  # m, to the nearest click
+        off = np.where(np.abs(off) < STRAY * gap, off, 0.0)
+        state = stations.fitted(state, np.where(shown, off, np.nan), CLICKED / float(np.median(scale)))
+    return state
 
-    Raises:
-        ObservationError: no two edges run along the curve.
-    """
+
+def _nearest_run(like: BoolArray, out: Array) -> float:
+    """Middle of the run of similar places (J,) that is nearest to 0 among these `out` (J,); NaN where there is none."""
+    steps = np.flatnonzero(np.diff(np.concatenate([[False], like, [False]]).astype(int)))
+    first, last = out[steps[::2]], out[steps[1::2] - 1]
+    if not len(first):
+        return math.nan
+    nearest = int(np.argmin(np.maximum(first, 0.0) + np.maximum(-last, 0.0)))
+    return float(0.5 * (first[nearest] + last[nearest]))
+
+
+def along(sight: Sight, stations: Stations, state: Array, shown: BoolArray, width: float) -> OutlinedBody | None:
+    """The body along the curve of `state` where it is `shown` (M,), `width` m near the clamp (NaN: unknown); None where
+    no two edges run along it."""
     pieces = np.array_split(np.flatnonzero(shown), PIECES)
     middle = np.array([float(np.mean(stations.s[piece])) for piece in pieces])
     half, clicked, usual = np.full(stations.count, np.nan), state, math.nan
@@ -486,14 +531,7 @@ def along(sight: Sight, stations: Stations, state: Array, shown: BoolArray, name
     body = refined(sight, stations, state, half, shown, step)
     for _ in range(ROUNDS):
         body = None if body is None else refined(sight, stations, body.state, body.half, shown, step)
-    if body is not None and not strays(body.state):
-        return body
-    raise ObservationError(
-        f"{name}: no body is seen along the clicks: no two edges run beside them. Are they of this picture, upright as "
-        "it is shown, and along the middle of the body, more of them where it bends? Does it stand out from its "
-        "background?",
-        about="outline",
-    )
+    return None if body is None or strays(body.state) else body
 
 
 def track_in(found: FoundBody) -> OutlineTrack:

@@ -16,7 +16,6 @@ from onebend.control.path import FollowedPath
 from onebend.control.reach import SURE, PredictedError, Reach, ReachInSetUp
 from onebend.control.reach_set import ReachableSet
 from onebend.control.shape import ShapeResult
-from onebend.learning.sensing.forces import TOUCH
 from onebend.learning.sensing.sense import WIDE, Sensed
 from onebend.records import Array
 from onebend.report.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, hue_of, plane, styled
@@ -232,7 +231,6 @@ def _said(axes: Axes, height: float, text: str) -> None:
 
 
 _FROM_PRIOR = 0.25  # remaining share of a component's prior variance, from which it is shaded
-_ROUND = np.linspace(0.0, 2.0 * np.pi, 90)
 _BEYOND = 1.6  # of the largest force: limit of the axes
 
 
@@ -291,27 +289,3 @@ def _component(axes: Axes, found: Sensed, c: int, name: str, colour: str) -> Non
     if size.size and np.isfinite(size).any():
         most = _BEYOND * float(np.nanmax(size))
         axes.set_ylim(-most, most)
-
-
-@styled
-def sensed_regions(found: Sensed) -> Figure:
-    """95 % regions in the plane, the log's path, and the least certain direction."""
-    figure, (axes,) = blank(4.6)
-    rows = np.flatnonzero(found.touched)
-    chosen = rows[np.linspace(0, len(rows) - 1, min(7, len(rows))).astype(int)]
-    axes.plot(*found.logged.T, "--", color=INK, lw=1.0, label="log")
-    axes.plot(*found.force[rows].T, color=BLUE, lw=1.0, label="from the shape")
-    for i, t in enumerate(chosen):
-        way = np.array([np.cos(found.weak_angle[t]), np.sin(found.weak_angle[t])])
-        values, vectors = np.linalg.eigh(found.covariance[t])
-        turned = vectors @ (np.sqrt(TOUCH * values)[:, None] * np.stack([np.cos(_ROUND), np.sin(_ROUND)]))
-        ring = found.force[t][:, None] + turned
-        axes.fill(*ring, color=BLUE, alpha=0.15, lw=0.8, label="95 % region" if i == 0 else None)
-        reach = np.sqrt(TOUCH) * found.weak_sd[t]
-        ends = np.stack([found.force[t] - reach * way, found.force[t] + reach * way])
-        axes.plot(*ends.T, color=ORANGE, lw=1.0, label="where it is known least" if i == 0 else None)
-    axes.plot(0.0, 0.0, "+", color=MUTED)
-    axes.set(xlabel="force along x [N]", ylabel="force along y [N]", aspect="equal")
-    axes.set_title("Where the force is known, and where not")
-    axes.legend(loc="best")
-    return figure

@@ -168,11 +168,6 @@ def load_uncertain(path: Path | str) -> UncertainStiffness:
     return stored.uncertain
 
 
-def load_instruments(path: Path | str) -> Instruments | None:
-    """Instruments and tag places behind the model; None without band or force log. Warns and raises as `load_model`."""
-    return _read_and_warn(path).bench
-
-
 def load_setup(path: Path | str) -> SetUp | None:
     """The set-up in which the beam was learned; None without band or force log. Warns and raises as `load_model`."""
     return _read_and_warn(path).setup

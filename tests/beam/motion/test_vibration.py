@@ -16,7 +16,7 @@ from onebend.beam.loads import push
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, make_problem
 from onebend.beam.section import rectangular_bar
-from onebend.beam.stiffness import Profile, Uniform, taper
+from onebend.beam.stiffness import Powers, Profile, Uniform
 from onebend.beam.vibration import settle, vibration, vibration_of
 from onebend.errors import MechanicsError
 from tests.beam.moving import ODD, odd_body
@@ -27,7 +27,7 @@ UNLOADED = push((0.0, 0.0))
 
 def bar(last: float) -> tuple[Beam, Profile]:
     """A square steel bar of 1 m whose side runs from 10 mm to `last`, and its rotary inertia."""
-    side = taper(0.01, last)
+    side = Powers((0.01, last - 0.01))
     profiles = rectangular_bar(side, side, length=1.0, modulus=210e9, density=7850.0)
     return Beam(1.0, profiles.stiffness, mass_per_length=profiles.mass_per_length), profiles.rotary_inertia
 

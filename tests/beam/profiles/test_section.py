@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from onebend.beam.section import rectangular_bar
-from onebend.beam.stiffness import Pieces, Profile, Steps, Table, Uniform, broken_line, in_pieces, taper
+from onebend.beam.stiffness import Pieces, Powers, Profile, Steps, Table, Uniform, in_pieces
 from onebend.errors import MechanicsError
 
 S = np.linspace(0.0, 1.0, 41)
@@ -27,7 +27,7 @@ def test_rectangle(width: float, thickness: float) -> None:
 
 
 def test_profiles_along_a_tapered_stepped_bar() -> None:
-    width, thickness = taper(0.02, 0.01), Steps((0.0, 0.3, 1.0), (2e-3, 1e-3))
+    width, thickness = Powers((0.02, -0.01)), Steps((0.0, 0.3, 1.0), (2e-3, 1e-3))
     found = rectangular_bar(width, thickness, length=0.5, **STEEL)
     np.testing.assert_allclose(found.stiffness(S), 210e9 * width(S) * thickness(S) ** 3 / 12.0 / 0.5, rtol=1e-11)
     np.testing.assert_allclose(found.mass_per_length(S), 7850.0 * width(S) * thickness(S), rtol=1e-12)
@@ -60,13 +60,6 @@ def test_pieces_hold_a_function_to_rounding_and_its_jumps() -> None:
     assert found(0.25) == pytest.approx(np.exp(0.75), rel=1e-13)
 
 
-def test_broken_line_with_a_kink_and_a_jump() -> None:
-    line = broken_line((0.0, 0.25, 0.5, 0.5, 1.0), (1.0, 2.0, 2.0, 5.0, 4.0))
-    np.testing.assert_allclose(line(np.array([0.125, 0.4, 0.5, 0.75, 1.0])), [1.5, 2.0, 5.0, 4.5, 4.0], atol=1e-14)
-    assert line.jumps == (0.25, 0.5)
-    np.testing.assert_allclose(taper(1.0, 3.0)(S), 1.0 + 2.0 * S, atol=1e-15)
-
-
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -77,7 +70,6 @@ def test_broken_line_with_a_kink_and_a_jump() -> None:
         (lambda: Pieces((0.0, 0.5), 0, (1.0,)), "from 0 to 1"),
         (lambda: Pieces((0.0, 1.0), 1, (1.0,)), "need 2 coefficients"),
         (lambda: Pieces((0.0, 1.0), 0, (1.0,), (0.5,)), "inner edges"),
-        (lambda: broken_line((0.0, 1.0), (1.0,)), "one value a place"),
     ],
 )
 def test_what_is_no_section_is_refused(make: object, words: str) -> None:

@@ -74,12 +74,6 @@ def test_time_is_stretched_where_a_limit_wants_it_and_only_there(way: FollowedPa
     np.testing.assert_allclose(slow.forces[[0, -1]], way.forces[[0, -1]], atol=1e-9)
 
 
-def test_or_refused_with_the_moment() -> None:
-    settings = PathSettings(rate=200.0, limits=RateLimits(force=0.2), too_fast="refuse")
-    with pytest.raises(ControlError, match=r"at [\d.]+ s the rate of the force at s = 1 is 0\.\d+ N/s, its limit 0.2"):
-        follow_goals(SOFT, circle(), pushes=(Pusher(),), settings=settings)
-
-
 def test_a_bound_on_the_force_holds_all_along() -> None:
     held = follow_goals(SOFT, circle(), pushes=(Pusher(1.0, max_force=0.35),), settings=PathSettings(rate=20.0))
     size = np.linalg.norm(held.forces[:, 0], axis=1)

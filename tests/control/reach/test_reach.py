@@ -152,18 +152,6 @@ def test_an_angle_that_no_load_holds_is_not_said_to_be_a_place_out_of_reach() ->
     assert "onebend shape --grip" in upright.reason
 
 
-def test_one_direction_reaches_what_lies_on_its_curve_and_the_nearest_else() -> None:
-    up = ReachSettings(direction=0.5 * np.pi)
-    goal = BEAM.equilibrium((0.0, 0.23)).xy(1.0)
-    found = reach(BEAM, goal, settings=up)
-    assert found.converged
-    np.testing.assert_allclose(found.force, (0.0, 0.23), atol=1e-5)
-    below = reach(BEAM, goal * [1.0, -1.0], settings=up)
-    assert not below.converged
-    assert "at 90 deg" in below.reason
-    np.testing.assert_allclose(below.force, 0.0, atol=1e-6)
-
-
 def test_moment_holds_place_and_angle_or_makes_the_load_least() -> None:
     both = ReachSettings(moment=True)
     arc = np.array([np.sin(1.0), 1.0 - np.cos(1.0)]) * LENGTH
@@ -221,7 +209,7 @@ def test_what_has_no_meaning_is_refused(goal: tuple[float, ...], options: dict[s
 
 @pytest.mark.parametrize(
     "settings",
-    [{"max_force": -1.0}, {"max_curvature": 0.0}, {"direction": 1.0, "moment": True}, {"tolerance": 0.0},
+    [{"max_force": -1.0}, {"max_curvature": 0.0}, {"tolerance": 0.0},
      {"method": "paper", "moment": True}],
 )  # fmt: skip
 def test_settings_without_meaning_are_refused(settings: dict[str, object]) -> None:

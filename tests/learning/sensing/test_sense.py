@@ -20,7 +20,7 @@ from onebend.errors import LearningError
 from onebend.learning.sensing.model import shared_prior
 from onebend.learning.sensing.sense import SenseSettings, sense
 from onebend.records import Array, Observations
-from onebend.report.control_figures import sensed_regions, sensing
+from onebend.report.control_figures import sensing
 from onebend.report.pictures import draw
 from onebend.report.sentences import worded
 from onebend.report.style import png_of
@@ -217,7 +217,7 @@ def test_files_screen_and_picture(tmp_path: Path) -> None:
     found = sense(SOFT, observed(SOFT, few(4), noise=(3e-5, 1e-3)), settings=SOUGHT)
     summary = sense_summary("model.json", found, written_by="test")
     to_json(summary)
-    pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
+    pictures = draw({"force": lambda: sensing(found)})
     write_forces(tmp_path, found)
     pictures.write(tmp_path)
     rows = list(csv.reader((tmp_path / "force.csv").read_text(encoding="utf-8").splitlines()))
@@ -229,7 +229,6 @@ def test_files_screen_and_picture(tmp_path: Path) -> None:
     assert {row[15] for row in rows[1:]} <= {"0", "1"}
     np.testing.assert_allclose([float(row[3]) for row in rows[1:]], found.force[:, 1], rtol=1e-6)
     assert (tmp_path / "force.png").exists()
-    assert (tmp_path / "regions.png").exists()
     stream = io.StringIO()
     show_sensed(Console(file=stream, width=100), found, tmp_path)
     assert "largest force" in stream.getvalue()
