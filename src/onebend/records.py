@@ -27,7 +27,7 @@ MassAlong = Literal["unknown", "even", "width", "thickness", "both", "section", 
 StiffnessAlong = Literal["unknown", "even", "section"]
 SectionShapeName = Literal["rectangle", "circle", "tube", "hexagon", "second moment"]
 
-POINT_ID = 100_000  # the ids of an outline's points begin here: no family has so many tags
+POINT_ID = 100_000  # and a thousand times s: the ids of an outline's points, for no family has so many tags
 PLACE_SD = 2.5e-3  # m, along the beam, of a push placed by hand
 GAIN_SD = 0.02  # of a force sensor's scale, where nobody states it
 TURN_SD = math.radians(1.5)  # of a tag on the beam, put on by hand

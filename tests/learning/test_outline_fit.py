@@ -9,7 +9,7 @@ import numpy as np
 
 from onebend.learning.condensed import white_share
 from onebend.learning.fit_data import fit_data
-from onebend.learning.frames import pose_whitening, read_alone
+from onebend.learning.frames import _of_tags, pose_whitening, read_alone, with_seen_tags
 from onebend.learning.instruments import instruments_of, setup_of
 from onebend.learning.parameters import Spline
 from onebend.learning.posterior import fit
@@ -118,3 +118,22 @@ def test_beside_tags_the_set_up_and_the_planner_speak_of_the_tags() -> None:
     assert planned.tag_sd.shape == (len(tags), 3)
     bent = setup.bent(found.beam, found.stiffness, both.force[-1:])
     assert bent.tags().shape == (1, len(tags), 3)
+
+
+def test_an_outline_that_spoils_the_fit_is_left_out_of_it() -> None:
+    both = beside_tags()
+    assert both.traced is not None
+    far = np.where(both.traced, 2e-3, 0.0) * np.random.default_rng(0).normal(size=both.angle.shape)
+    spoilt = fit([replace(both, xy=both.xy + far[..., None])])
+    assert spoilt.without_outline
+    tags = fit([read_alone(both)])
+    np.testing.assert_allclose(spoilt.stiffness.log_at(S)[0], tags.stiffness.log_at(S)[0], atol=1e-9)
+    assert not fit([both]).without_outline
+
+
+def test_recordings_of_one_beam_keep_the_points_that_all_of_them_have() -> None:
+    both = beside_tags()
+    fewer = _of_tags(both, both.tag_id != 100_003)
+    first, second = with_seen_tags([both, fewer])
+    np.testing.assert_array_equal(first.tag_id, second.tag_id)
+    assert len(first.tag_id) == len(both.tag_id) - 1

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.spatial import cKDTree
 
 from onebend.errors import ObservationError
@@ -131,12 +132,62 @@ def test_a_wall_is_no_part_of_the_top_face() -> None:
 
 
 def test_an_edge_between_two_levels_is_found_to_a_twentieth_of_a_pixel() -> None:
-    look = outline.Look(np.ones(3), np.ones(3))
     for place in (-1.3, -0.4, 0.0, 0.3, 2.2):
         share = 0.5 + 0.5 * np.tanh((outline._OUT - place) / 0.9)
         colour = np.stack([200.0 - 80.0 * share, 120.0 + 0.0 * share, 130.0 + 0.0 * share], axis=1)[None, None]
         first = np.full((1, 1), int(np.argmin(np.abs(outline._OUT - place))) - 2)
-        assert float(outline.edge_place(colour.astype(np.float32), first, look)[0, 0]) == pytest.approx(place, abs=0.05)
+        assert float(outline.edge_place(colour.astype(np.float32), first, np.ones(3))[0, 0]) == pytest.approx(
+            place, abs=0.05
+        )
+
+
+def with_tags(pictures: Sequence[Planes], bend: Array) -> OutlineTrack:
+    """The body's points in these pictures, in which three tags are known, a little off."""
+    stations, hidden, scale = stations_and_hidden()
+    s = np.array([0.35, 0.65, 0.95])
+    shapes = [line(b, s) for b in bend.tolist()]
+    off = 2e-4 * np.random.default_rng(0).normal(size=(1, 3, 2))
+    xy, angle = np.stack([one for one, _ in shapes]) + off, np.stack([one for _, one in shapes])
+    tags = Markers(
+        np.arange(len(bend)) / 30.0, np.arange(3), s, xy, angle, np.tile(1e-10 * np.eye(3), (len(bend), 3, 1, 1)),
+        np.zeros(len(bend)), VIEW,
+    )  # fmt: skip
+    sights = [Sight(one, VIEW, np.zeros(2)) for one in pictures]
+    found, half = outline.with_tags(sights, stations, hidden, tags)
+    middle = outline.centreline(found, stations, half, MEASURED / scale)
+    return outline.points_of(middle, found, stations, sights, scale)
+
+
+@pytest.mark.parametrize("wall", [0.0, 0.003])
+def test_beside_tags_the_edges_are_those_that_move_with_the_tags(wall: float) -> None:
+    track = with_tags([painted(b, wall=wall, seed=i) for i, b in enumerate(BENDS.tolist())], BENDS)
+    off = errors(track, BENDS)
+    assert np.isfinite(off).mean() > 0.9
+    assert abs(float(np.nanmean(off))) < 0.2
+    assert float(np.nanstd(off)) < 0.15
+    np.testing.assert_allclose(track.width, 2.0 * half_width(track.s), atol=0.3e-3)
+
+
+def test_beside_tags_without_a_body_nothing_is_found() -> None:
+    with pytest.raises(ObservationError, match="no two edges"):
+        with_tags([painted(0.0, ends=0.02, seed=i) for i in range(len(BENDS))], BENDS)
+
+
+def test_the_best_line_is_the_brightest_one_that_does_not_jump() -> None:
+    worth = 0.1 * np.random.default_rng(0).random((40, 60))
+    ridge = (20 + 8 * np.sin(np.arange(40) / 6.0)).astype(int)
+    worth[np.arange(40), ridge] = 1.0
+    worth[10:13, 55] = 1.5  # brighter, and elsewhere
+    np.testing.assert_array_equal(outline.best_line(worth), ridge)
+
+
+def test_both_flanks_tell_the_error_of_their_middle_and_how_long_it_lasts() -> None:
+    rng, rho = np.random.default_rng(0), 0.8
+    white = rng.normal(size=(2, 4000, 20))
+    flanks = lfilter([np.sqrt(1.0 - rho**2)], [1.0, -rho], white, axis=1)
+    found = outline.lasting_sd(flanks[0] - flanks[1])
+    middle_sd, time = outline.SHARED * np.sqrt(0.5), (1.0 + rho) / (1.0 - rho)
+    np.testing.assert_allclose(np.mean(found), middle_sd * np.sqrt(time), rtol=0.1)
 
 
 def test_without_a_body_nothing_is_traced() -> None:

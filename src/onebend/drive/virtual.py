@@ -25,7 +25,7 @@ from onebend.drive.robots import DEAD_MAN, ArmState, Skill, ToolForce, ToolPose
 from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.bench_camera import BenchCamera
 from onebend.lab.filming import PLACES
-from onebend.lab.rod import RodTask, balanced, cells_of, contact_of, poses_of
+from onebend.lab.rod import RodTask, balanced, cells_of, contact_of, poses_of, relaxation
 from onebend.lab.virtual import VirtualBench
 from onebend.live.sources import Clock, End, Frame, StampTiming
 from onebend.progress import interrupts_held, leave_interrupts_to_parent
@@ -78,6 +78,7 @@ class VirtualCell:
         self.edges = self._cells.edges  # (N + 1,) s of `poses`
         self._contact = contact_of(self._task, self._cells)
         count = len(self._cells.size)
+        self._decay, self._old, self._new = relaxation(bench.effects, TICK)
         self._angle, self._lagged, self._turned = self._contact.rest, np.zeros(count), np.zeros(count)
         self._node = int(np.argmin(np.abs(self._cells.edges - at)))
         self._shown = np.searchsorted(self._cells.edges, PLACES - 1e-9)
@@ -173,7 +174,7 @@ class VirtualCell:
             return
         self._touched = self.hand
         turned = np.diff(self._angle) - self._cells.rest
-        self._lagged = self._held() + self._share_now() * turned
+        self._lagged = self._held() + self._new * turned
         self._turned = turned
 
     def _lead_to(self, hand: Array) -> None:
@@ -217,14 +218,7 @@ class VirtualCell:
 
     def _held(self) -> Array:
         """What of the turns has relaxed already, as `rod.follow` has it."""
-        effects = self._task.effects
-        decay = math.exp(-TICK / effects.relaxation_time)
-        ramp = (1.0 - decay) * effects.relaxation_time / TICK
-        return np.asarray(decay * self._lagged + (ramp - decay) * self._turned)
-
-    def _share_now(self) -> float:
-        effects = self._task.effects
-        return 1.0 - (1.0 - math.exp(-TICK / effects.relaxation_time)) * effects.relaxation_time / TICK
+        return np.asarray(self._decay * self._lagged + self._old * self._turned)
 
     def _bent(self, wrench: Array, angle: Array) -> tuple[Array, Array]:
         """Angles of clamp and cells, and poses (N + 1, 3) at their ends. A moment is a pair of forces on the last
@@ -237,7 +231,7 @@ class VirtualCell:
         stiffer = float(self.faults.get("softer", 1.0))
         scaled = cells if stiffer == 1.0 else replace(cells, joint=stiffer * cells.joint)
         found, place = balanced(
-            scaled, self._contact, angle, wrench[:2], beyond, share * self._held(), share * self._share_now()
+            scaled, self._contact, angle, wrench[:2], beyond, share * self._held(), share * self._new
         )
         held = wrench[:2] * self._contact.loaded(place)[:, None] + beyond
         return found, poses_of(scaled, found, held)

@@ -149,11 +149,9 @@ def cells_of(task: RodTask, at: Array | None) -> _Cells:
 def follow(task: RodTask, cells: _Cells, time: Array, carried: Array) -> RodMotion:
     """One pass over all times, with forces `carried` (T, N, 2) [N] on the cells."""
     effects, force = task.effects, task.force(time)
-    share, decay = effects.relaxation, np.exp(-(time[1] - time[0]) / effects.relaxation_time)
+    share, (decay, old, new) = effects.relaxation, relaxation(effects, time[1] - time[0])
     contact = contact_of(task, cells)
     beyond = np.cumsum(carried[:, ::-1], axis=1)[:, ::-1] - 0.5 * carried  # force held at each cell's middle
-    ramp = (1.0 - decay) * effects.relaxation_time / (time[1] - time[0])
-    new, old = 1.0 - ramp, ramp - decay  # v' = decay v + old u + new u'
     angle = contact.rest
     for part in np.arange(1, WEIGHT_STEPS) / WEIGHT_STEPS if np.any(beyond[0]) else ():
         angle, _ = balanced(cells, contact, angle, part * force[0], part * beyond[0], np.zeros(len(cells.size)), share)
@@ -169,6 +167,13 @@ def follow(task: RodTask, cells: _Cells, time: Array, carried: Array) -> RodMoti
         places.append(place)
     secant = float(work[0] / work[1]) if share and work[1] > 0.0 else 1.0
     return RodMotion(time, cells.edges, np.stack(pose), np.array(places), secant)
+
+
+def relaxation(effects: RealBench, step: float) -> tuple[float, float, float]:
+    """Shares decay, old, new of v' = decay v + old u + new u' after a `step` [s] in which u is linear."""
+    decay = float(np.exp(-step / effects.relaxation_time))
+    ramp = (1.0 - decay) * effects.relaxation_time / step
+    return decay, ramp - decay, 1.0 - ramp
 
 
 @dataclass(frozen=True)

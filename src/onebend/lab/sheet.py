@@ -104,7 +104,7 @@ def figure_of(page: Page) -> Figure:
     axes.set_axis_off()
     for mark in page.marks:
         if isinstance(mark, Fill):
-            outline = Outline.make_compound_path(*(Outline(polygon, closed=True) for polygon in _closed(mark.polygons)))
+            outline = Outline.make_compound_path_from_polys(mark.polygons)
             axes.add_patch(PathPatch(outline, facecolor="black", linewidth=0.0))
         elif isinstance(mark, Line):
             x, y = zip(mark.start, mark.end, strict=True)
@@ -113,11 +113,6 @@ def figure_of(page: Page) -> Figure:
             side, size = "center" if mark.anchor == "middle" else "left", mark.height / POINT
             axes.text(*mark.at, mark.text, fontsize=size, ha=side, va="baseline", parse_math=False)
     return figure
-
-
-def _closed(polygons: Array) -> Array:
-    """(n, c + 1, 2) polygons (n, c, 2) that end where they begin."""
-    return np.concatenate([polygons, polygons[:, :1]], axis=1)
 
 
 LEFT, RIGHT, TOP, BOTTOM = 20.0, 10.0, 24.0, 28.0  # mm around the tags; rulers to the left and below

@@ -53,7 +53,6 @@ class Allowance:
     sized: bool = False  # the evidence chooses one factor on all of `prior_sd`
     within: tuple[float, float] = ANYTHING  # bounds of each parameter
     sizes: tuple[float, ...] = (1.0,)  # over `prior_sd`; several, equally probable: its size is unknown, see `sites`
-    led: bool = False  # the others go with the first parameter: they are as large as it is likely to be
     powers: Array = field(default_factory=_nothing)  # (n,) of the displacement in its functions; empty: none
     of_force: bool = False  # `prior_sd` goes with the largest force
 
@@ -238,21 +237,36 @@ def smooth_functions(course: PushCourse) -> Array:
 
 
 OUTLINE_SD = 5e-5  # m, of each function's coefficient, before the evidence has chosen
+LIGHT_SD = 2e-4  # m
 _TERMS = 6  # Legendre polynomials along the body
 
 
 def outline_error(course: PushCourse) -> Allowance | None:
-    """The error of an outline, smooth along the body: one that stays, and two that grow with the bending (light and
-    shade turn with the body, walls come into sight)."""
-    if course.film is None or course.on_body.all():
+    """The error of an outline that grows with the bending, smooth along the body: walls come into sight."""
+    if (film := _outlined(course)) is None:
         return None
-    across = course.film.across
-    in_time = np.column_stack([np.ones(len(across)), course.bend, course.bend**2])  # (F, 3)
+    in_time = np.column_stack([course.bend, course.bend**2])  # (F, 2)
     along = np.polynomial.legendre.legvander(2.0 * course.marker_s - 1.0, _TERMS - 1)  # (m, n)
-    basis = np.zeros((*across.shape[:2], 3, 3 * _TERMS))
-    basis[:, :, :2] = np.einsum("fmc,ft,mn->fmctn", across, in_time, along).reshape(*across.shape, -1)
-    labels = tuple(f"outline error {t}{n}" for t in ("stays", "grows", "grows more") for n in range(_TERMS))
+    shape = (*film.across.shape[:2], 3, 2 * _TERMS)
+    basis = np.zeros(shape)
+    basis[:, :, :2] = np.einsum("fmc,ft,mn->fmctn", film.across, in_time, along).reshape(*film.across.shape, -1)
+    labels = tuple(f"outline error {t}{n}" for t in ("grows", "grows more") for n in range(_TERMS))
     return Allowance("outline", "poses", "m", labels, np.full(len(labels), OUTLINE_SD), basis, sized=True)
+
+
+def light(course: PushCourse) -> Allowance | None:
+    """Light from one side, and shadow, move both edges the same way in the picture, however the body is turned."""
+    if (film := _outlined(course)) is None:
+        return None
+    across = film.across
+    basis = np.zeros((*across.shape[:2], 3, 2))
+    basis[:, :, :2] = across[..., :, None] * across[..., None, :]
+    return Allowance("light", "poses", "m", ("edges lie off in x", "edges lie off in y"), np.full(2, LIGHT_SD), basis)
+
+
+def _outlined(course: PushCourse) -> Film | None:
+    """The film that shows an outline."""
+    return None if course.on_body.all() else course.film
 
 
 _WINDOW, _DEGREE = 7, 3  # frames and degree of the polynomial whose curvature is the acceleration
@@ -376,16 +390,14 @@ def between_recordings(nodes: Array) -> Allowance:
     return Allowance(BETWEEN, "log k", "1", labels, BETWEEN_SD, _SHAPES.curvature(nodes), sized=True)
 
 
-# Tags are patches that stiffen the beam by one factor. Their width is known only by how likely each is: the log of the
-# factor enters by its expected profile, and two more functions are how the profile of another width differs from it. At
-# a distance d from a tag's middle log k has the variance `PATCH_SD^2` times the probability that the patch reaches d.
+# Tags are patches that stiffen the beam by one factor. Their width is known only by how likely each is, so a patch is a
+# sum of patches of several widths, none of which softens. At a distance d from a tag's middle log k has the variance
+# `PATCH_SD^2` times the probability that the patch reaches d.
 
 PATCH_SD = 0.4  # of the log of the factor on k under a tag: paper to stiff plastic
 SHARES = np.array([0.25, 0.5, 0.25])  # of the widths below
 WIDTHS = np.array([1.05, 1.25, 1.6])  # of a patch over the tag's black square: a printed tag has a rim of one cell
-# (3, 3) of patches of these widths: the expected one, and principal parts of the others: `SHARES - SHARES SHARES'`
-_BY_WIDTH = np.column_stack([SHARES, 0.5**1.5 * np.array([1.0, 0.0, -1.0]), 0.25 * np.array([1.0, -2.0, 1.0])])
-_GLUED = tuple(np.geomspace(0.1, 2.0, 17).tolist())  # of `PATCH_SD`: what is glued on a soft body counts
+_GLUED = tuple(np.geomspace(0.01, 2.0, 17).tolist())  # of `PATCH_SD`
 USUAL_SIZE = 0.08  # of the length: a tag's black square where nobody says its size
 _USUAL_WIDTHS = np.array([0.8, 1.25, 1.9])  # over `USUAL_SIZE`
 _SOFT = 0.04  # of half a width: its edge in s
@@ -393,12 +405,11 @@ _FINE = 4001  # places
 
 
 def patch_functions(marker_s: Array, length: float, tag_size: float, s: Array) -> Array:
-    """`s.shape + (3,)`: the expected profile of a patch, 1 under the tags, and two deviations from it; `tag_size` m,
-    NaN if unknown."""
+    """`s.shape + (3,)`: the profiles of patches of each width, 1 under the tags; `tag_size` m, NaN if unknown."""
     known = bool(np.isfinite(tag_size))
     half = 0.5 * (WIDTHS * tag_size / length if known else _USUAL_WIDTHS * USUAL_SIZE)
     away = np.min(np.abs(np.asarray(s)[..., None] - marker_s), axis=-1)[..., None]
-    return np.asarray((0.5 - 0.5 * np.tanh((away - half) / (2.0 * _SOFT * half))) @ _BY_WIDTH)
+    return np.asarray(0.5 - 0.5 * np.tanh((away - half) / (2.0 * _SOFT * half)))
 
 
 def patch_means(marker_s: Array, length: float, tag_size: float, grid: Grid) -> Array:
@@ -413,17 +424,17 @@ def patch_means(marker_s: Array, length: float, tag_size: float, grid: Grid) -> 
 
 
 def patches(course: PushCourse) -> Allowance | None:
-    """The log of the factor on k, the same under all tags, for they are alike, and of its profile; without a film no
-    basis."""
+    """The logs of the factors on k of patches of each width, the same under all tags, for they are alike; without a
+    film no basis."""
     if not course.tags:
         return None
     basis = np.zeros((0, len(WIDTHS)))
     if course.film is not None:
         grid = course.film.problem.grid
         basis = patch_means(course.marker_s[course.on_body], course.length, course.tag_size, grid)
-    labels = tuple(f"log k under the tags, {name}" for name in ("mean", "width", "rim"))
-    sd = np.full(len(WIDTHS), PATCH_SD)
-    return Allowance("patches", "log k", "1", labels, sd, basis, shared=True, within=POSITIVE, sizes=_GLUED, led=True)
+    labels = tuple(f"log k under the tags, {name}" for name in ("narrow", "usual", "wide"))
+    sd = PATCH_SD * np.sqrt(SHARES)
+    return Allowance("patches", "log k", "1", labels, sd, basis, shared=True, within=POSITIVE, sizes=_GLUED)
 
 
 # Camera: its model puts every tag in one plane. A tag at height z over the plane appears too far from the camera's
@@ -437,19 +448,45 @@ _SMALL = np.finfo(float).tiny
 
 
 def heights(observations: Observations, measured: Array) -> Allowance:
-    """Each tag's own height [m], and those of the outline at the clamp and at the tip; `measured` (F, m, 3) poses."""
-    view = _view(observations)
-    foot, distance = camera_place(view)
-    away = np.nan_to_num(measured[..., :2] - foot) / distance
-    labels, tags = [f"height of tag {i}" for i in observations.tag_id], tags_among(observations)
-    functions = np.eye(len(tags))
-    if not tags.all():
-        s, labels = observations.marker_s, [labels[i] for i in np.flatnonzero(tags)]
-        functions = np.column_stack([functions[:, tags], ~tags * (1.0 - s), ~tags * s])
-        labels += ["height of the outline at the clamp", "height of the outline at the tip"]
-    basis = np.zeros((*measured.shape, len(labels)))
-    basis[:, :, :2] = away[..., None] * functions[:, None, :]
+    """Each tag's own height [m]; an outline lies as high as the tags beside it, and without tags as high as two numbers
+    say, at the clamp and at the tip. `measured` (F, m, 3) poses."""
+    o, tags = observations, tags_among(observations)
+    labels = [f"height of tag {i}" for i in o.tag_id[tags]]
+    functions = np.eye(len(tags))[:, tags]
+    if not labels:
+        labels, functions = list(_OUTLINE_HEIGHTS), _from_clamp_to_tip(o)
+    elif not tags.all():  # then all stand in the order of their places
+        functions = np.stack([np.interp(o.marker_s, o.marker_s[tags], one) for one in np.eye(len(labels))], axis=1)
+    basis = _lifted(o, measured, functions)
     return Allowance("heights", "poses", "m", tuple(labels), np.full(len(labels), HEIGHT_SD), basis, shared=True)
+
+
+_OUTLINE_HEIGHTS = ("height of the outline at the clamp", "height of the outline at the tip")
+
+
+def outline_height(course: PushCourse) -> Allowance | None:
+    """Of an outline over the tags [m], at the clamp and at the tip: that of a round body lies below them."""
+    film = _outlined(course)
+    if film is None or not course.tags or film.observations.source.view is None:
+        return None
+    basis = _lifted(film.observations, film.measured, _from_clamp_to_tip(film.observations))
+    sd = np.full(len(_OUTLINE_HEIGHTS), HEIGHT_SD)
+    return Allowance("outline height", "poses", "m", _OUTLINE_HEIGHTS, sd, basis, shared=True, sizes=RARE)
+
+
+def _from_clamp_to_tip(observations: Observations) -> Array:
+    """(m, 2) of an outline's points, each rising in proportion from one end; zero of tags."""
+    s = observations.marker_s
+    return np.asarray(np.column_stack([1.0 - s, s]) * ~tags_among(observations)[:, None])
+
+
+def _lifted(observations: Observations, measured: Array, functions: Array) -> Array:
+    """(F, m, 3, n): what heights, by these functions (m, n), do to poses (F, m, 3)."""
+    foot, distance = camera_place(_view(observations))
+    away = np.nan_to_num(measured[..., :2] - foot) / distance
+    basis = np.zeros((*measured.shape, functions.shape[1]))
+    basis[:, :, :2] = away[..., None] * functions[:, None, :]
+    return basis
 
 
 def camera(observations: Observations, frames: BoolArray, count: int) -> Allowance:
@@ -703,10 +740,12 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(
         "discrepancy": Effect(LEFT, discrepancy),
         "angle discrepancy": Effect(LEFT, angle_discrepancy),
         "outline": Effect("outline", outline_error, live=False),
+        "light": Effect("outline", light, live=False),
         "slide": Effect("sliding contact", sliding),
         "rub": Effect("friction of the tool", rubbing, live=False),
         "posture": Effect("posture-dependent bias", posture_bias),
         "heights": Effect("camera", _heights, live=False),
+        "outline height": Effect("outline", outline_height, live=False),
         "rolling shutter": Effect("camera", _rows, live=False),
         "camera": Effect("camera", _camera, live=False),
         "inertia": Effect("inertia", unknown_mass, live=False),

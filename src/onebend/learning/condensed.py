@@ -23,7 +23,7 @@ from onebend.learning.allowances import tag_accelerations
 from onebend.learning.frames import learnable_frames, push_places, usable_frames
 from onebend.recording.force_noise import TURN as REVERSAL, displacement, turning_points
 from onebend.recording.signals import bridged, runs
-from onebend.records import Array, BoolArray, FrameMeans, IntArray, Observations
+from onebend.records import Array, BoolArray, FrameMeans, IntArray, Observations, tags_among
 
 STEP = 0.02  # of the largest displacement
 TURN = 0.05  # rad, of the force
@@ -172,15 +172,12 @@ def mean_variance(white: Array, frames: Array) -> Array:
 
 
 def white_share(o: Observations, poses: Array) -> Array:
-    """(m,) share of each tag's stated variance that is white, at most 1, from third differences of poses (T, m, 3)."""
+    """(m,) share of each tag's stated variance that is white, at most 1, from third differences of poses (T, m, 3); 1
+    of an outline's points, whose variance is stated as if it were."""
     third = np.diff(poses, n=3, axis=0)
     stated = np.diagonal(o.covariance, axis1=2, axis2=3)[: len(third)]
-    if o.traced is not None:  # of an outline only what is across it is measured
-        angle = o.angle[: len(third), o.traced]
-        third[:, o.traced, 0] = third[:, o.traced, 1] * np.cos(angle) - third[:, o.traced, 0] * np.sin(angle)
-        third[:, o.traced, 1:] = np.nan
     usable = np.isfinite(third) & np.isfinite(stated) & (stated > 0.0)
     ratio = np.where(usable, np.abs(third) / np.sqrt(np.where(usable, stated, 1.0) * _THIRD), np.nan)
     flat = np.moveaxis(ratio, 1, 0).reshape(ratio.shape[1], -1)
     size = np.array([np.median(one[np.isfinite(one)]) / 0.6745 if np.isfinite(one).any() else 1.0 for one in flat])
-    return np.asarray(np.minimum(size**2, 1.0))
+    return np.where(tags_among(o), np.minimum(size**2, 1.0), 1.0)

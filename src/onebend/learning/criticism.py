@@ -16,12 +16,12 @@ from onebend.beam.stiffness import UncertainStiffness
 from onebend.learning import linear
 from onebend.learning.fit_data import REST_MODES, FitData
 from onebend.learning.frames import unwhitened, whitened
-from onebend.learning.hyperparameters import correlation_time
 from onebend.learning.normal import JointCovariance
 from onebend.learning.optimizer import Optimum
 from onebend.learning.parameters import Layout
 from onebend.learning.prediction import Prediction, along_and_across, place_responses, push_moment
 from onebend.progress import each
+from onebend.recording.signals import correlation_time
 from onebend.records import Array, IntArray
 
 # Alternatives to the fit's model: a few numbers b that the model takes to be zero. They move the tags by `D b`, with D

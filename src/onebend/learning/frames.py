@@ -13,7 +13,7 @@ from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Polyline, Profile, Table, Uniform
 from onebend.errors import LearningError
 from onebend.recording.signals import low_pass
-from onebend.records import Array, BoolArray, IntArray, Observations, read_before_fit
+from onebend.records import Array, BoolArray, IntArray, Observations, read_before_fit, tags_among
 
 _BENT = 5.0  # times the median change by a second low-pass: a larger change is not noise
 _SLIGHT = 0.01  # of the largest force: a smaller change is neglected
@@ -108,25 +108,33 @@ def check_same_beam(recordings: Sequence[Observations]) -> None:
 
 
 def with_seen_tags(recordings: Sequence[Observations]) -> list[Observations]:
-    """The recordings of one beam without the tags that none of them ever shows: they tell nothing, and cost time."""
+    """The recordings of one beam without the tags that none of them ever shows: they tell nothing, and cost time; and
+    without the points of an outline that not all of them have."""
+    several = [set(one.tag_id[~tags_among(one)].tolist()) for one in recordings]
+    points = list(set.intersection(*several))
+    recordings = [_of_tags(one, tags_among(one) | np.isin(one.tag_id, points)) for one in recordings]
     if len({one.tag_id.tobytes() for one in recordings}) != 1:
-        return list(recordings)
+        return recordings
     seen = np.any([np.isfinite(one.xy).any(axis=(0, 2)) for one in recordings], axis=0)
-    return list(recordings) if seen.all() else [_of_tags(one, seen) for one in recordings]
+    return [_of_tags(one, seen) for one in recordings]
 
 
 def read_alone(one: Observations) -> Observations:
     """The observations without the points of an outline; where there are no tags with few of these."""
     kept = np.zeros(len(one.tag_id), dtype=bool)
     kept[read_before_fit(one)] = True
-    return one if kept.all() else _of_tags(one, kept)
+    return _of_tags(one, kept)
 
 
 def _of_tags(one: Observations, kept: BoolArray) -> Observations:
     """The observations of the tags `kept` (m,) alone."""
+    if kept.all():
+        return one
     every = slice(None), kept
     changes = _taken(one, ("tag_id", "marker_s", "rest_xy", "rest_angle", "rest_covariance", "traced"), kept)
     changes |= _taken(one, ("xy", "angle", "covariance", "by_camera"), every)
+    if not np.any(changes.get("traced", False)):
+        changes["traced"] = None
     if one.means is not None:
         changes["means"] = replace(one.means, **_taken(one.means, ("acceleration",), every))
     return replace(one, **changes)

@@ -26,6 +26,7 @@ from onebend.learning.linear import (
     ResidualRows,
     Solved,
     coupled,
+    explained_by,
     force_shrinkage,
     marginal,
     prior,
@@ -49,6 +50,7 @@ from onebend.learning.normal import (
 from onebend.learning.parameters import Block
 from onebend.learning.sites import first_site, is_shaped, updated
 from onebend.progress import each
+from onebend.recording.signals import correlation_time
 from onebend.records import Array, IntArray
 
 CHOSEN = ("coloured", "memory", "walk", "load")  # the sizes of the force error
@@ -61,8 +63,6 @@ _FARTHEST = 4.0  # sd of their logs from what is expected
 _GUESS_COUNTS = 3.0  # numbers that the guessed noise of readings counts for
 _CENTRE_SHARE = 0.25  # weight of the central node of the cubature
 _CURVATURE_STEP = 0.3  # sd of their logs, of the differences that give the evidence's curvature
-_LONGEST_LAG = 8  # a correlation time takes lags up to this part (1 / 8) of the frames
-_UNCORRELATED = 0.05  # correlation from which on a correlation time is cut off
 _ON_THE_WAY = Draws(chains=12, burn=15, kept=25)
 _AT_THE_END = Draws(chains=4, burn=20, kept=60)  # for each of the nodes of the cubature
 _LEAST_NOISE = 0.02  # of the tags' stated sd: below it the solver's error (1e-8 L) would be fitted
@@ -236,7 +236,7 @@ def new_noise(data: FitData, rows: ResidualRows, before: RecordingNoise, spent: 
     lower bound.
     """
     if not data.observations.static:
-        return updated_noise(rows, before, spent)
+        return updated_noise(rows, before, spent, np.setdiff1d(np.arange(data.measured.shape[1]), data.tags))
     unexplained, _ = split_off_force(rows, rows.r, before)
     numbers = float(np.sum(rows.known))
     free = max(numbers - spent, 0.3 * numbers)
@@ -249,39 +249,34 @@ def _load_sd(data: FitData) -> float:
     return max(float(np.max(data.observations.force_sd)), 1e-9)
 
 
-def updated_noise(rows: ResidualRows, before: RecordingNoise, spent: float) -> RecordingNoise:
-    """Noise of a recording from its residuals, by expectation-maximisation over the frames' own force errors.
+def updated_noise(
+    rows: ResidualRows, before: RecordingNoise, spent: float, points: IntArray = _NOTHING
+) -> RecordingNoise:
+    """Noise of a recording from its residuals, by expectation-maximisation over the frames' own force errors; that of
+    an outline's `points` among the markers has a size of its own where there are tags, and is at least as stated.
 
     `spent`: effective number of parameters (trace of the tags' information times the covariance).
     """
     numbers = float(np.sum(rows.known))
     share = max(1.0 - spent / max(numbers, 1.0), 0.3)
-    noise, by_force, squares = before, rows.by_force(rows.r), float(np.sum(rows.r**2))
+    traced = np.isin(np.arange(rows.r.shape[1]) // 3, points)
+    kinds = [one for one in (~traced, traced) if one.any()]
+    noise, by_force = before, rows.by_force(rows.r)
     for _ in range(30):
         shrinkage = force_shrinkage(rows, noise)
         force = np.einsum("fde,fe->fd", shrinkage, by_force)
         moments = noise.marker**2 * shrinkage + force[:, :, None] * force[:, None]  # (F, 2, 2) of each frame's force
-        rest = squares - 2.0 * float(np.sum(force * by_force)) + float(np.sum(moments * rows.gram))
+        left = (rows.r - explained_by(rows.a, force)) ** 2
+        left = left + noise.marker**2 * np.einsum("frd,fde,fre->fr", rows.a, shrinkage, rows.a)
+        sizes = [np.sqrt(np.sum(left[:, one]) / (share * max(float(np.sum(rows.known[:, one])), 1.0))) for one in kinds]
         own = np.mean(np.trace(moments, axis1=1, axis2=2)) / 2.0
-        noise = RecordingNoise(float(np.sqrt(max(rest / (numbers * share), _LEAST_NOISE**2))), float(np.sqrt(own)))
+        noise = replace(before, marker=float(max(sizes[0], _LEAST_NOISE)), force=float(np.sqrt(own)))
     unexplained, force = split_off_force(rows, rows.r, noise)
-    marker = noise.marker * np.sqrt(correlation_time(unexplained))
-    return RecordingNoise(float(marker), noise.force * float(np.sqrt(correlation_time(force))))
-
-
-def correlation_time(r: Array) -> float:
-    """`1 + 2 sum rho` of residuals (F, channels) over the lags where the correlation is positive, pooled."""
-    z = r - np.mean(r, axis=0)
-    spread = np.median(np.abs(z), axis=0) / 0.6745
-    z = np.clip(np.divide(z, spread, out=np.zeros_like(z), where=spread > 0.0), -3.0, 3.0)
-    power = float(np.sum(z**2))
-    total = 1.0
-    for lag in range(1, max(len(z) // _LONGEST_LAG, 2)):
-        rho = float(np.sum(z[:-lag] * z[lag:])) / max(power, 1e-12)
-        if rho < _UNCORRELATED:
-            break
-        total += 2.0 * rho
-    return total
+    times = [correlation_time(unexplained[:, one]) for one in kinds]
+    marker, *outline = [size * float(np.sqrt(time)) for size, time in zip(sizes, times, strict=True)]
+    marker = max(marker, 1.0 if traced.all() else _LEAST_NOISE)
+    shares = (max(before.outline * one, 1.0) / marker for one in outline)
+    return RecordingNoise(marker, noise.force * float(np.sqrt(correlation_time(force))), *shares)
 
 
 _SITE_ROUNDS = 4  # of sites and posterior

@@ -48,6 +48,13 @@ class RecordingNoise:
 
     marker: float  # over what the tags' covariances say
     force: float  # N, the force error that is faster than its knots
+    outline: float = 1.0  # that of an outline's points, over what their covariances say, over `marker`
+
+    def shares(self, data: FitData) -> Array:
+        """(R,) weights of a frame's whitened numbers by whose they are: 1 of tags."""
+        points = np.ones(data.measured.shape[1], dtype=bool)
+        points[data.tags] = False
+        return np.repeat(np.where(points, 1.0 / self.outline, 1.0), 3)
 
 
 @dataclass(frozen=True)
@@ -429,14 +436,15 @@ def residual_rows(now: Prediction, noise: RecordingNoise, slopes: Slopes | None 
 
     `slopes`: derivatives to use instead of `whitened_slopes`.
     """
-    plain = unweighted_rows(now, slopes)
+    plain, share = unweighted_rows(now, slopes), noise.shares(now.data)
+    plain = replace(plain, r=share * plain.r, root_weight=share * plain.root_weight)
     known, frames = plain.known, len(plain.r)
     unexplained, _ = split_off_force(plain, plain.r, noise)
     squares = np.sum(unexplained.reshape(frames, -1, 3) ** 2, axis=-1) / noise.marker**2
     numbers = np.sum(known.reshape(frames, -1, 3), axis=-1)
     weight = np.where(now.data.resting[:, None], 1.0, (_ROBUST + numbers) / (_ROBUST + squares))
-    root = np.repeat(np.sqrt(weight), 3, axis=1) * known
-    return ResidualRows(root * plain.r, plain.whitened, known, root)
+    root = np.repeat(np.sqrt(weight), 3, axis=1)
+    return replace(plain, r=root * plain.r, root_weight=root * plain.root_weight)
 
 
 def unweighted_rows(now: Prediction, slopes: Slopes | None = None) -> ResidualRows:

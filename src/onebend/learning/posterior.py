@@ -22,7 +22,7 @@ from onebend.learning.condensed import condensed
 from onebend.learning.contradictions import Contradiction, contradictions, doubt_of
 from onebend.learning.criticism import Criticism, criticise
 from onebend.learning.fit_data import FitData, following
-from onebend.learning.frames import check_same_beam, mass_profile
+from onebend.learning.frames import check_same_beam, mass_profile, read_alone
 from onebend.learning.frequencies import GROSS, PredictedFrequencies, with_modes, worst_off
 from onebend.learning.hyperparameters import SPREAD
 from onebend.learning.linear import FitProblem, log_k_map
@@ -33,7 +33,7 @@ from onebend.learning.push_place import FAR, PlaceSearch, doubtful, moved_off, s
 from onebend.learning.sharp_steps import with_sharp_steps
 from onebend.learning.start import start_of
 from onebend.progress import Progress, Silent, one_blas_thread
-from onebend.records import Array, BoolArray, Observations, PointMass
+from onebend.records import Array, BoolArray, Observations, PointMass, tags_among
 
 
 def stiffness_of(problem: FitProblem, optimum: optimizer.Optimum, gain_sd: float) -> UncertainStiffness:
@@ -252,6 +252,7 @@ class Posterior:
     left_out: tuple[BoolArray, ...]  # (T,) of each recording, poses that no stable equilibrium explains
     place: PlaceSearch | None = None  # other places of the push, where they are worth a look
     contradicted_by: tuple[str, ...] = ()  # names of validations that miss by far more than is likely
+    without_outline: str = ""  # the doubt about the fit to outline and tags, after which this is one to the tags alone
 
     @property
     def recordings(self) -> tuple[FitData, ...]:
@@ -431,13 +432,22 @@ def fit(
     try:
         some = [recordings[i] for i in optimizer.first_recordings(recordings, settings)]
         begin = start_of(some, None) if start is None else start
-        return _fit(recordings, begin, settings, gain_sd, progress)
+        found = _fit(recordings, begin, settings, gain_sd, progress)
+        tags = [read_alone(one) for one in recordings]
+        if any(map(_beside_tags, recordings)) and found.doubts:
+            return replace(_fit(tags, begin, settings, gain_sd, progress), without_outline=found.doubts[0])
+        return found
     except np.linalg.LinAlgError as error:
         names = ", ".join(one.source.name for one in recordings)
         raise LearningError(
             f"{names}: the equations of the fit cannot be solved ({error}). Look at the force and the tags with "
             "`onebend learn --method regression`"
         ) from error
+
+
+def _beside_tags(one: Observations) -> bool:
+    """Whether there are points of an outline, and tags."""
+    return 0 < int(np.sum(tags_among(one))) < len(one.tag_id)
 
 
 def _fit(

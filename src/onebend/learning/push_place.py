@@ -25,7 +25,7 @@ from onebend.beam.stiffness import SHAPE_LEVELS, SHAPE_PLACES
 from onebend.errors import LearningError
 from onebend.learning.criticism import ALARM, Criticism
 from onebend.learning.hyperparameters import Evidence, with_stiffness_prior
-from onebend.learning.linear import FitProblem, Hyperparameters, RecordingNoise, data_information, log_k_map, prior
+from onebend.learning.linear import FitProblem, Hyperparameters, data_information, log_k_map, prior
 from onebend.learning.normal import JointCovariance
 from onebend.learning.optimizer import (
     FitSettings,
@@ -96,7 +96,7 @@ def coarsened(found: Hyperparameters, problem: FitProblem) -> Hyperparameters:
         means = data.observations.means
         frames = int(np.sum(data.frames if means is None else means.count[data.frames]))
         wider = float(np.sqrt(max(frames / _FRAMES, 1.0)))
-        noise.append(RecordingNoise(wider * one.marker, wider * one.force))
+        noise.append(replace(one, marker=wider * one.marker, force=wider * one.force))
     return replace(found, noise=tuple(noise), sites={})
 
 

@@ -39,8 +39,7 @@ def moments(lower: float, upper: float, mean: Array, variance: Array) -> tuple[A
 
 def first_site(block: Block, size: float = 1.0) -> tuple[Array, Array]:
     """Means and sds (n,) of the prior itself, whose sds are `size` times those of the block."""
-    site = _matched(block, size, np.zeros(len(block.prior_sd)), np.full(len(block.prior_sd), np.inf))
-    return _led(block, site, *site)
+    return _matched(block, size, np.zeros(len(block.prior_sd)), np.full(len(block.prior_sd), np.inf))
 
 
 def _matched(block: Block, size: float, mean: Array, variance: Array) -> tuple[Array, Array]:
@@ -75,15 +74,7 @@ def updated(block: Block, site: tuple[Array, Array], mean: Array, sd: Array, siz
         pull = precision * np.divide(without - wanted, wanted, out=np.zeros_like(wanted), where=wanted != 0.0)
         far = np.abs(middle) > widest
         left, middle = np.where(far, np.maximum(pull, 1.0 / widest**2), left), np.where(far, 0.0, middle)
-    return _led(block, (middle, 1.0 / np.sqrt(left)), mean, sd)
-
-
-def _led(block: Block, site: tuple[Array, Array], mean: Array, sd: Array) -> tuple[Array, Array]:
-    """The site, where the first parameter of this mean and sd is the size of the others."""
-    if not block.led:
-        return site
-    size = np.hypot(mean[0], sd[0]) / block.prior_sd[0] * block.prior_sd[1:]
-    return np.append(site[0][:1], 0.0 * size), np.append(site[1][:1], size)
+    return middle, 1.0 / np.sqrt(left)
 
 
 def is_shaped(block: Block) -> bool:

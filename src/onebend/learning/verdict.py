@@ -41,6 +41,8 @@ def fit_notices(posterior: Posterior) -> tuple[Notice, ...]:
     misses = [_miss(posterior, one.name, one.tag, one.rms, one.motion) for one in posterior.misses]
     stopped = posterior.optimum.stopped
     search = () if posterior.optimum.converged else (Notice("not converged", {"why": stopped}),)
+    if why := posterior.without_outline:
+        search = (*search, Notice("outline left out", {"why": why}))
     if any(one.hopeless for one in posterior.misses):
         return (*misses, *search)
     doubts = posterior.weight_doubts

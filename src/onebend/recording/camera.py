@@ -550,7 +550,7 @@ def measure_markers(detections: Detections, description: Recording, outline: Out
         pairs = zip(_fields(relative), _fields(points), strict=True)
         relative = Poses(*(np.concatenate(both, axis=1) for both in pairs))
         traced = np.arange(len(s) + len(outline.s)) >= len(s)
-        tag_id = np.concatenate([tag_id, POINT_ID + np.arange(len(outline.s))])
+        tag_id = np.concatenate([tag_id, POINT_ID + np.rint(1e3 * outline.s).astype(int)])
         s = np.concatenate([s, outline.s])
     order = np.arange(len(s)) if traced is None else np.argsort(s, kind="stable")
     return Markers(

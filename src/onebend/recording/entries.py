@@ -557,7 +557,7 @@ class Recording:
             return not self.tags.on_beam
         if self.video is None:
             return False
-        return not self.tags.on_beam if self.outline is None else self.outline.use
+        return self.outline is None or self.outline.use
 
     @property
     def start(self) -> tuple[float, float]:

@@ -21,7 +21,7 @@ from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, track
 from onebend.recording.camera import measure_markers, project
 from onebend.recording.entries import Recording
-from onebend.recording.signals import MAD_TO_SD
+from onebend.recording.signals import MAD_TO_SD, correlation_time
 from onebend.recording.video import picture_in, timed, upright
 from onebend.records import Array, BoolArray, Detections, IntArray, Markers, OutlineTrack, Remark, View
 
@@ -143,13 +143,14 @@ class Stations:
         return np.column_stack([n[:, 1], np.einsum("mc,mck->mk", n, turned)])
 
     def fitted(self, state: Array, away: Array, sd: float, stiffness: float = 1.0) -> Array:
-        """(1 + K,) numbers of the curve that runs `away` (M,) m, NaN where unknown, from that of `state`: robust least
-        squares (Tukey) with one `sd` [m] each. A `stiffness` above one keeps the curve straight where nothing is seen.
-        """
+        """(1 + K,) numbers of the curve that runs `away` (..., M) m, NaN where unknown, from that of `state`: robust
+        least squares (Tukey) with one `sd` [m] each. A `stiffness` above one keeps the curve straight where nothing is
+        seen."""
         known = np.isfinite(away)
         if not known.any():
             return state
-        rows, right = self.across(self.curve(state))[known], away[known]
+        rows = np.broadcast_to(self.across(self.curve(state)), (*away.shape, len(state)))[known]
+        right = away[known]
         prior = self.prior / np.append(1.0, stiffness * np.sqrt(1.0 + np.arange(STATES)) ** (stiffness > 1.0))
         weight, step = np.ones(len(right)), np.zeros(len(state))
         for _ in range(5):
@@ -220,16 +221,21 @@ def find_flanks(sight: Sight, curve: Curve, half: Array, look: Look) -> Array:
     places = np.concatenate([np.broadcast_to(_OUT, (len(half), len(_OUT))), inner], axis=1)
     seen = sight.planes.at(expected[:, :, None] + places[..., None] * outward[:, :, None])
     colour, body = seen[:, :, : len(_OUT)], running_mean(np.median(seen[:, :, len(_OUT) :], axis=2), 5)
-    total = np.cumsum(np.concatenate([np.zeros_like(colour[:, :, :1]), colour], axis=2), axis=2)
-    inside = (total[:, :, _MIDDLE] - total[:, :, _MIDDLE - _SIDE]) / _SIDE
-    outside = (total[:, :, _MIDDLE + 1 + _SIDE] - total[:, :, _MIDDLE + 1]) / _SIDE
+    inside, outside = sides_of(colour)
     step = unlike(outside, body, look) - unlike(inside, body, look)
     likely = step * np.exp(-0.5 * (2.0 * _OUT[_MIDDLE] / REACH) ** 2)
     best = np.argmax(np.nan_to_num(likely, nan=-np.inf), axis=2)
     size = np.take_along_axis(step, best[..., None], axis=2)[..., 0]
-    place = edge_place(colour, _MIDDLE[best], look)
+    place = edge_place(colour, _MIDDLE[best], look.pixel_sd)
     clear = (size >= LEAST) & (np.abs(place) < REACH)
     return np.asarray(np.where(clear, away + SIDES[:, None] * place / scale, np.nan))
+
+
+def sides_of(colour: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Mean colours inside and outside each place in the middle of profiles (2, M, J, 3) about `_OUT`."""
+    total = np.cumsum(np.concatenate([np.zeros_like(colour[:, :, :1]), colour], axis=2), axis=2)
+    inside = (total[:, :, _MIDDLE] - total[:, :, _MIDDLE - _SIDE]) / _SIDE
+    return inside, (total[:, :, _MIDDLE + 1 + _SIDE] - total[:, :, _MIDDLE + 1]) / _SIDE
 
 
 def unlike(colour: NDArray[np.float32], body: Array, look: Look) -> Array:
@@ -238,23 +244,23 @@ def unlike(colour: NDArray[np.float32], body: Array, look: Look) -> Array:
     return np.asarray(np.minimum(np.sqrt(squares), MOST))
 
 
-def edge_place(colour: NDArray[np.float32], first: IntArray, look: Look) -> Array:
+def edge_place(colour: NDArray[np.float32], first: IntArray, pixel_sd: Array) -> Array:
     """(2, M) px outward from the expected flanks: where a sharp step between the two levels about sample `first` (2, M)
     of the profiles (2, M, J, 3) would have the same integral."""
     centre, off = first, np.zeros(first.shape)
     for _ in range(2):  # the first sample stands where the colour begins to change, not in the middle of the step
         centre = np.clip(centre + np.rint(off / STEP).astype(np.int64), _LEVEL[1], len(_OUT) - 1 - _LEVEL[1])
-        off = np.nan_to_num(_fraction(colour, centre, look))
-    return np.asarray(_OUT[centre] + _fraction(colour, centre, look))
+        off = np.nan_to_num(_fraction(colour, centre, pixel_sd))
+    return np.asarray(_OUT[centre] + _fraction(colour, centre, pixel_sd))
 
 
-def _fraction(colour: NDArray[np.float32], centre: IntArray, look: Look) -> Array:
+def _fraction(colour: NDArray[np.float32], centre: IntArray, pixel_sd: Array) -> Array:
     """(2, M) px from sample `centre` (2, M) outward to the edge."""
     window = np.arange(-_LEVEL[1], _LEVEL[1] + 1)
     near = np.take_along_axis(colour, (centre[..., None] + window)[..., None], axis=2)  # (2, M, W, 3)
     inside = near[:, :, window <= -_LEVEL[0]].mean(axis=2)
     difference = near[:, :, window >= _LEVEL[0]].mean(axis=2) - inside
-    weight = difference / look.pixel_sd**2
+    weight = difference / pixel_sd**2
     size = np.maximum(np.sum(weight * difference, axis=-1), 1e-9)
     middle = near[:, :, np.abs(window) <= _HALF] - inside[:, :, None]
     share = np.clip(np.einsum("smwc,smc->smw", middle, weight) / size[..., None], -0.25, 1.25)
@@ -416,7 +422,7 @@ def refined(
 
 # The film: each picture is searched near where the two before predict the body.
 
-STATION = 4.0  # px: distance of the normals
+STATION, STATIONS = 4.0, 240  # px: distance of the normals; at most so many
 POINTS = 30  # of the curve that are kept, evenly along the body
 PLACES = (np.arange(POINTS) + 0.5) / POINTS  # (n,) their s
 FAR = 0.4  # of `REACH`: a curve that is farther from its prediction is searched again
@@ -495,6 +501,156 @@ def _near(
     return float(np.mean(wide[~hidden])), state, away, new
 
 
+# Beside tags: what moves with the tags is the body. Their places and directions say where its middle runs in each
+# picture. Along normals of that curve the body's edges stay, while what lies behind it passes by.
+
+TAG_PLACE, TAG_TURN, CLAMP_TURN = 3e-4, 0.03, 0.02  # m, rad, rad: one sd of a tag, and of the clamp's direction
+STEPS = 4  # of Gauss and Newton's method from the curve of the picture before
+FINEST = 300  # samples of a profile, at most
+LOOKED_AT = 40  # pictures, spread evenly, in which an edge must stay
+STEEP = 8  # samples by which a lasting edge may step from station to station
+BEND_COST = 0.04  # of a clear edge: what a step by one sample costs
+STAYS = 0.4  # of its usual size, at least, that a lasting edge has in one picture
+NEAR = 2.0  # px: one sd of where it is expected there
+PASSES = 3  # over the edges of a picture
+_NO_EDGES = "no two edges of a body move with the tags"
+
+
+@dataclass(frozen=True)
+class Straightened:
+    """T pictures of the body, straightened along curves: J colours outward from each of M stations, to both sides."""
+
+    state: Array  # (T, 1 + K) of the curves; NaN where a picture shows none
+    colour: NDArray[np.uint8]  # (T, 2, M, J, 3)
+    sample: Array  # (T, M) m from one colour to the next
+
+
+def through_tags(stations: Stations, tags: Markers) -> Array:
+    """(T, 1 + K) numbers of smooth curves from the clamp through the tags, along their directions; NaN without tags."""
+    state, out = np.zeros(1 + STATES), np.full((len(tags.xy), 1 + STATES), np.nan)
+    at = np.array([int(np.argmin(np.abs(stations.s - s))) for s in tags.s])
+    turns = np.column_stack([np.zeros(stations.count), stations.functions])
+    for t, seen in enumerate(np.isfinite(tags.xy).all(axis=2) & np.isfinite(tags.angle)):
+        here = at[seen]
+        for _ in range(STEPS if seen.any() else 0):
+            curve = stations.curve(state)
+            away = np.sum((tags.xy[t, seen] - curve.xy[here]) * curve.normal[here], axis=1)
+            whole = np.concatenate(
+                [
+                    stations.across(curve)[here] / TAG_PLACE,
+                    turns[here] / TAG_TURN,
+                    turns[:1] / CLAMP_TURN,
+                    np.diag(1.0 / stations.prior),
+                ]
+            )
+            right = np.concatenate(
+                [
+                    away / TAG_PLACE,
+                    (tags.angle[t, seen] - curve.angle[here]) / TAG_TURN,
+                    -curve.angle[:1] / CLAMP_TURN,
+                    -state / stations.prior,
+                ]
+            )
+            state = state + np.linalg.lstsq(whole, right, rcond=None)[0]
+            out[t] = state
+    return out
+
+
+def straightened(sights: Iterable[Sight], stations: Stations, state: Array) -> Straightened:
+    """The pictures along the curves of these numbers (T, 1 + K)."""
+    colours: list[NDArray[np.uint8]] = []
+    samples: list[Array] = []
+    for sight, one in zip(sights, state, strict=True):
+        curve = stations.curve(np.nan_to_num(one))
+        normal, scale = sight.outward(curve)
+        if not colours:
+            widest = WIDEST * stations.length * float(np.max(scale))  # px
+            out = np.arange(0.0, widest, max(STEP, widest / FINEST))
+        places = sight.pixels(curve.xy)[:, None] + SIDES[:, None, None, None] * out[:, None] * normal[:, None]
+        colours.append(np.rint(np.nan_to_num(sight.planes.at(places))).astype(np.uint8))
+        samples.append(out[1] / scale)
+    return Straightened(state, np.stack(colours), np.stack(samples))
+
+
+def lasting_edges(seen: Straightened, hidden: BoolArray, pixel_sd: Array) -> tuple[IntArray, Array]:
+    """(2, M) the sample at which each side's edge stays in all pictures: the line along the body whose steps of colour
+    are the largest; and their size, in sds of a colour. Raises `ObservationError` where nothing of the body is seen."""
+    known = np.flatnonzero(np.isfinite(seen.state[:, 0]))
+    if hidden.all() or not len(known) or seen.colour.shape[3] <= 4 * _SIDE:
+        raise ObservationError(_NO_EDGES, about="outline")
+    chosen = known[np.unique(np.linspace(0, len(known) - 1, LOOKED_AT).astype(int))]
+    colour = seen.colour[chosen].astype(np.float32)
+    total = np.cumsum(np.concatenate([np.zeros_like(colour[..., :1, :]), colour], axis=-2), axis=-2)
+    at = np.arange(_SIDE, colour.shape[-2] - _SIDE)
+    step = (
+        total[..., at + 1 + _SIDE, :] - total[..., at + 1, :] - total[..., at, :] + total[..., at - _SIDE, :]
+    ) / _SIDE
+    size = np.median(np.linalg.norm(step / pixel_sd, axis=-1), axis=0)  # (2, M, J)
+    place: IntArray = np.empty(size.shape[:2], dtype=np.int64)
+    for side in range(2):
+        shown = np.where(hidden[:, None], 0.0, size[side])
+        place[side] = best_line(np.minimum(shown / max(float(np.median(shown[~hidden].max(axis=1))), 1.0), 1.5))
+    return at[place], np.take_along_axis(size, place[..., None], axis=2)[..., 0]
+
+
+def best_line(worth: Array) -> IntArray:
+    """(M,) the places in the rows of `worth` (M, J) with the largest sum, steps from row to row paid for (Viterbi)."""
+    best, came = worth[0], np.zeros(worth.shape, dtype=np.int64)
+    shifts = np.arange(-STEEP, STEEP + 1)
+    for row in range(1, len(worth)):
+        padded = np.pad(best, STEEP, constant_values=-np.inf)
+        before = np.lib.stride_tricks.sliding_window_view(padded, len(shifts)) - BEND_COST * np.abs(shifts)
+        came[row] = np.argmax(before, axis=1)
+        best = worth[row] + before.max(axis=1)
+    line = [int(np.argmax(best))]
+    for row in range(len(worth) - 1, 0, -1):
+        line.append(line[-1] + int(shifts[came[row, line[-1]]]))
+    return np.array(line[::-1])
+
+
+def edges_near(colour: NDArray[np.uint8], expected: Array, least: Array, pixel_sd: Array) -> Array:
+    """(2, M) samples outward of the edges near the `expected` (2, M) in one straightened picture (2, M, J, 3); NaN
+    where none is as large as `least` (2, M), in sds of a colour."""
+    first = np.rint(expected).astype(np.int64)
+    window = np.clip(first[..., None] + np.arange(len(_OUT)) - len(_OUT) // 2, 0, colour.shape[2] - 1)
+    near = np.take_along_axis(colour, window[..., None], axis=2).astype(np.float32)
+    inside, outside = sides_of(near)
+    size = np.linalg.norm((outside - inside) / pixel_sd, axis=-1)
+    best = np.argmax(size * np.exp(-0.5 * ((_OUT[_MIDDLE] - STEP * (expected - first)[..., None]) / NEAR) ** 2), axis=2)
+    place = edge_place(near, _MIDDLE[best], pixel_sd)
+    clear = (np.take_along_axis(size, best[..., None], axis=2)[..., 0] >= least) & (np.abs(place) < REACH)
+    return np.asarray(np.where(clear, first + place / STEP, np.nan))
+
+
+def with_tags(
+    sights: Iterable[Sight], stations: Stations, hidden: BoolArray, tags: Markers
+) -> tuple[OutlineSearch, Array]:
+    """The flanks in pictures whose `tags` are known, and half the body's width (M,) m."""
+    seen = straightened(sights, stations, through_tags(stations, tags))
+    noise = np.abs(np.diff(seen.colour[:: max(1, len(seen.colour) // LOOKED_AT)].astype(np.float32), axis=3))
+    pixel_sd = np.maximum(MAD_TO_SD / math.sqrt(2.0) * np.median(noise, axis=(0, 1, 2, 3)), 1.0)
+    place, size = lasting_edges(seen, hidden, pixel_sd)
+    least = np.maximum(STAYS * size, LEAST)
+    found = []
+    for state, colour, sample in zip(seen.state, seen.colour, seen.sample, strict=True):
+        if np.isnan(state[0]):
+            found.append(np.full(place.shape, np.nan))
+            continue
+        expected, sd = place.astype(float), MEASURED * float(np.median(sample)) / STEP
+        for _ in range(PASSES):
+            away = np.where(hidden, np.nan, edges_near(colour, expected, least, pixel_sd))
+            smooth = stations.fitted(state, SIDES[:, None] * (away - place) * sample, sd)
+            expected = place + SIDES[:, None] * (stations.across(stations.curve(state)) @ (smooth - state)) / sample
+        away = np.where(np.abs(away - expected) * STEP < NEAR, away, np.nan)
+        found.append(SIDES[:, None] * away * sample)
+    flanks, half = np.stack(found), 0.5 * place.sum(axis=0) * np.median(seen.sample, axis=0)
+    if np.isfinite(flanks[:, :, ~hidden]).mean() < LEAST_SEEN:
+        raise ObservationError(_NO_EDGES, about="outline")
+    known = np.flatnonzero(np.isfinite(seen.state[:, 0]))
+    every = np.stack([np.interp(np.arange(len(seen.state)), known, one[known]) for one in seen.state.T], axis=1)
+    return OutlineSearch(every, flanks), half
+
+
 # The centreline: the width is the same in all pictures; flanks that contradict it, or their neighbours, are left out.
 
 OUTLIER = 4.0  # sds
@@ -531,6 +687,7 @@ class Middle:
 
     state: Array  # (T, 1 + K) of smooth curves
     away: Array  # (T, M) m from them; NaN where not seen
+    apart: Array  # (T, M) m, by how much the flanks are farther apart than the body is wide; NaN where one is not seen
     sd: float  # m, white, of one station
     alike: float  # correlation of neighbouring stations
     width: Array  # (M,) m
@@ -540,16 +697,17 @@ def centreline(found: OutlineSearch, stations: Stations, half: Array, sd: float)
     """The middle between the flanks; `sd` m is that of the fits of smooth curves."""
     width, spread = body_width(found.away, half)
     each = found.away - 0.5 * SIDES[:, None] * width
-    first = nan_mean(np.moveaxis(each, 1, 0))
-    states = np.stack([stations.fitted(*one, sd) for one in zip(found.state, first, strict=True)])
+    states = np.stack([stations.fitted(*one, sd) for one in zip(found.state, each, strict=True)])
     smooth = np.stack([stations.across(stations.curve(a)) @ (b - a) for a, b in zip(found.state, states, strict=True)])
     away = middles(each, smooth, spread) - smooth
+    apart = each[:, 0] - each[:, 1]
+    apart = np.where(np.abs(apart) <= OUTLIER * spread, apart, np.nan)
     local = away - np.stack([running_median(one, NEIGHBOURS) for one in away])
     white = MAD_TO_SD * float(np.nanmedian(np.abs(local)))
     away = np.where(np.abs(local) <= OUTLIER * white, away, np.nan)
     local = np.clip(local / max(white, 1e-12), -OUTLIER, OUTLIER)
     alike = float(np.nanmean(local[:, 1:] * local[:, :-1]) / max(float(np.nanmean(local**2)), 1e-12))
-    return Middle(states, away, white, min(max(alike, 0.0), 0.9), width)
+    return Middle(states, away, apart, white, min(max(alike, 0.0), 0.9), width)
 
 
 def outline_track(
@@ -558,6 +716,7 @@ def outline_track(
     corners: Array,
     frames: IntArray,
     *,
+    tags: Markers | None = None,
     apart: bool = False,
     progress: Progress = Silent(),
 ) -> OutlineTrack:
@@ -571,11 +730,11 @@ def outline_track(
     """
     ends = project(view, np.array([[0.0, 0.0], [rec.beam.length, 0.0]]))
     scale = float(np.linalg.norm(ends[1] - ends[0])) / rec.beam.length  # px/m
-    stations = Stations(rec.beam.length, max(2 * POINTS, math.ceil(rec.beam.length * scale / STATION)))
-    tags = (rec.tags.on_base[0], *rec.tags.on_beam)
+    stations = Stations(rec.beam.length, min(max(2 * POINTS, math.ceil(rec.beam.length * scale / STATION)), STATIONS))
+    base = rec.tags.on_base[0].s
     paper = PAPER * rec.tags.size / rec.beam.length
-    hidden = np.min([np.abs(stations.s - tag.s) for tag in tags], axis=0) < paper
-    hidden |= stations.s < tags[0].s
+    hidden = np.min([np.abs(stations.s - s) for s in (base, *(tag.s for tag in rec.tags.on_beam))], axis=0) < paper
+    hidden |= stations.s < base
     shift = corners.mean(axis=2) - nan_median(corners.mean(axis=2))
     shift = nan_mean(np.moveaxis(shift, 1, 0))
     known = np.isfinite(shift[:, 0])
@@ -589,8 +748,11 @@ def outline_track(
                 yield Sight(planes_of(rec, index, raw), view, shift[wanted[index]])
 
     width = math.nan if rec.outline is None else rec.outline.width
-    seek = each_alone if apart else follow
-    found, half = seek(sights(), stations, hidden, rec.name, width)
+    if tags is not None:
+        found, half = with_tags(sights(), stations, hidden, tags)
+    else:
+        seek = each_alone if apart else follow
+        found, half = seek(sights(), stations, hidden, rec.name, width)
     middle = centreline(found, stations, half, MEASURED / scale)
     refuse_lost(middle, found, ~hidden, rec.name)
     out = points_of(middle, found, stations, [Sight(_NO_PLANES, view, one) for one in shift], scale)
@@ -600,9 +762,11 @@ def outline_track(
 # Beside tags the outline is used only where it agrees with them. A tag may sit beside the middle of the body, by its
 # placement; as the body bends, it stays there.
 
-EVERY = 0.1  # s: so often is the outline read beside tags, which are read in every frame
+EVERY, MOST_READ = 0.1, 240  # s, pictures: so often, and in so many, is the outline read beside tags
 BESIDE = 3e-4  # m: one sd of where a tag's middle seems to lie, besides its placement
 MOVED = 5e-3  # of the length: a line that moves more against a tag is not the body's
+TURNED = 0.03  # rad, likewise by its direction there
+APART = 1.5  # times its own sds: tags curl and lie at heights of their own, so that both agree less
 
 
 def with_outline(
@@ -622,13 +786,22 @@ def with_outline(
     """
     assert markers.view is not None
     base = detections.corners[:, : len(rec.tags.on_base)]
+    if rec.tags.on_beam and np.max(np.abs(markers.base_angle)) > TURNED:
+        return replace(markers, remarks=(*markers.remarks, left_out("the clamp turns in the picture")))
     try:
-        each = round(EVERY / float(np.median(np.diff(detections.time)))) if rec.tags.on_beam and not apart else 1
-        kept = np.arange(0, len(number), max(each, 1))
-        outline = outline_track(rec, markers.view, base[kept], number[kept], apart=apart, progress=progress)
+        each = 1
+        if rec.tags.on_beam and not apart:
+            each = max(round(EVERY / float(np.median(np.diff(detections.time)))), math.ceil(len(number) / MOST_READ), 1)
+        kept = np.arange(0, len(number), each)
+        of_kept = replace(markers, xy=markers.xy[kept], angle=markers.angle[kept]) if rec.tags.on_beam else None
+        outline = outline_track(
+            rec, markers.view, base[kept], number[kept], tags=of_kept, apart=apart, progress=progress
+        )
         outline = spread_over(outline, kept, len(number))
         hung: BoolArray = ~np.asarray(np.isfinite(detections.corners).any(axis=(1, 2, 3)))
-        outline = replace(outline, sd=np.where(hung[:, None], np.nan, outline.sd))
+        outline = replace(
+            outline, sd=np.where(hung[:, None], np.nan, (APART if rec.tags.on_beam else 1.0) * outline.sd)
+        )
         both = measure_markers(detections, rec, outline)
         doubt = contradicted(both, rec)
     except ObservationError as wrong:
@@ -664,16 +837,20 @@ def contradicted(both: Markers, rec: Recording) -> str:
         if not len(before) or not len(after):
             continue
         away = _from_line(both, tag, before[-1], after[0], rec.beam.length)
-        away = away[np.isfinite(away)]
-        if not len(away):
+        chord = both.xy[:, after[0]] - both.xy[:, before[-1]]
+        turn = np.angle(np.exp(1j * (np.arctan2(chord[:, 1], chord[:, 0]) - both.angle[:, tag])))
+        seen = np.isfinite(away) & np.isfinite(turn)
+        if not seen.any():
             continue
-        beside = float(np.median(away))
-        moved = float(np.max(np.abs(away - beside)))
+        beside, aside = float(np.median(away[seen])), float(np.median(turn[seen]))
+        moved, turned = float(np.max(np.abs(away[seen] - beside))), float(np.max(np.abs(turn[seen] - aside)))
         name, most = f"tag {both.tag_id[tag]}", 3.0 * math.hypot(rec.tags.placement_sd, BESIDE)
         if abs(beside) > most:
             return f"it passes {1e3 * abs(beside):.2g} mm beside the middle of {name}"
         if moved > MOVED * rec.beam.length:
             return f"it moves by up to {1e3 * moved:.2g} mm against {name}"
+        if turned > TURNED:
+            return f"it turns by up to {math.degrees(turned):.2g} degrees against {name}"
     return ""
 
 
@@ -734,6 +911,18 @@ def lost_remarks(found: OutlineSearch) -> tuple[Remark, ...]:
 _NO_PLANES = Planes(np.zeros((2, 2), dtype=np.uint8), np.zeros((2, 2, 2), dtype=np.uint8))
 
 
+SHARED = 2.0  # sds of what both flanks show: light, walls and blur shift both alike, which their distance hides
+
+
+def lasting_sd(apart: Array) -> Array:
+    """(n,) m, one sd of points in the middle of two flanks, as if their errors were new in each picture and alike
+    nowhere; `apart` (T, n) m: by how much the flanks are farther apart than the body is wide, both errors being
+    independent."""
+    alike = np.nan_to_num(apart)
+    times = correlation_time(alike) * correlation_time(alike.T, longest=2)
+    return np.asarray(0.5 * SHARED * np.sqrt(times) * np.sqrt(np.nan_to_num(nan_mean(apart**2))))
+
+
 def points_of(
     middle: Middle, found: OutlineSearch, stations: Stations, sights: Sequence[Sight], scale: float
 ) -> OutlineTrack:
@@ -746,7 +935,8 @@ def points_of(
     shown = count >= LEAST_SHARE * means.sum(axis=0)
     away = np.divide(np.where(seen, middle.away, 0.0) @ means, count, out=np.zeros(count.shape), where=count > 0)
     few = count * (1.0 - middle.alike) / (1.0 + middle.alike)
-    sd = np.where(shown, middle.sd * scale / np.sqrt(np.maximum(few, 1.0)), np.nan)
+    apart = np.stack([nan_mean(middle.apart[:, group == i].T) for i in range(POINTS)], axis=1)
+    sd = np.where(shown, scale * np.maximum(middle.sd / np.sqrt(np.maximum(few, 1.0)), lasting_sd(apart)), np.nan)
     px, ahead = np.empty((*away.shape, 2)), np.empty((*away.shape, 2))
     for t, sight in enumerate(sights):
         predicted, smooth = stations.curve(found.state[t]), stations.curve(middle.state[t])

@@ -329,3 +329,23 @@ def copies_in_motion(time: Array, points: Array, still: float, least: float) -> 
         if step[end - 1] > max(min(0.5 * (end - begin), 3.0) * one, least):
             out[shown[begin + 1 : end]] = True
     return out
+
+
+LONGEST_LAG = 8  # a correlation time takes lags up to this part (1 / 8) of the frames
+UNCORRELATED = 0.05  # correlation from which on a correlation time is cut off
+
+
+def correlation_time(r: Array, longest: int = LONGEST_LAG) -> float:
+    """`1 + 2 sum rho` of residuals (F, channels) over the lags where the correlation is positive, up to a part of F,
+    pooled."""
+    z = r - np.mean(r, axis=0)
+    spread = MAD_TO_SD * np.median(np.abs(z), axis=0)
+    z = np.clip(np.divide(z, spread, out=np.zeros_like(z), where=spread > 0.0), -3.0, 3.0)
+    power = float(np.sum(z**2))
+    total = 1.0
+    for lag in range(1, max(len(z) // longest, 2)):
+        rho = float(np.sum(z[:-lag] * z[lag:])) / max(power, 1e-12)
+        if rho < UNCORRELATED:
+            break
+        total += 2.0 * rho
+    return total

@@ -143,7 +143,7 @@ def chosen(wanted: frozenset[str] = EVERY_ALLOWANCE, **changed: object) -> set[s
 
 
 def test_every_name_is_an_allowance_of_a_film_of_a_push() -> None:
-    assert chosen() == OF_ONE - WEIGHING - {"outline"}
+    assert chosen() == OF_ONE - WEIGHING - {"outline", "outline height", "light"}
 
 
 def test_only_what_is_wanted_is_allowed_for() -> None:
@@ -155,10 +155,17 @@ def test_only_what_is_wanted_is_allowed_for() -> None:
 
 def test_without_a_push_nothing_slides_and_static_poses_have_none() -> None:
     still = np.zeros((20, 2))
-    assert OF_ONE - chosen(force=still) == {*WEIGHING, "outline", "slide", "rub", "posture"}
+    assert OF_ONE - chosen(force=still) == {*WEIGHING, "outline", "outline height", "light", "slide", "rub", "posture"}
     assert chosen(static=True) == set()
 
 
 def test_tracks_have_no_allowances_of_a_camera() -> None:
     tracked = replace(MADE.source, view=None)
-    assert OF_ONE - chosen(source=tracked) == {*WEIGHING, "heights", "outline", "rolling shutter"}
+    assert OF_ONE - chosen(source=tracked) == {
+        *WEIGHING,
+        "heights",
+        "outline",
+        "outline height",
+        "light",
+        "rolling shutter",
+    }

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from onebend.learning.hyperparameters import correlation_time, updated_noise
+from onebend.learning.hyperparameters import updated_noise
 from onebend.learning.linear import RecordingNoise, ResidualRows
 from onebend.learning.prediction import Slopes
+from onebend.recording.signals import correlation_time
 from onebend.records import Array
 
 FRAMES = 6000

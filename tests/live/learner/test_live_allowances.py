@@ -211,7 +211,9 @@ def test_it_says_what_it_does_not_allow_for() -> None:
         "gravity direction",
         "heights",
         "inertia",
+        "light",
         "outline",
+        "outline height",
         "rolling shutter",
         "rub",
     )

@@ -35,12 +35,12 @@ def written(folder: Path, text: str) -> Path:
     [
         (BARE, True),
         (BARE + "[outline]\n", True),
-        (TAGGED, False),
+        (TAGGED, True),
         (TAGGED + "[outline]\n", True),
         (TAGGED + "[outline]\nuse = false\n", False),
     ],
 )
-def test_the_outline_is_read_without_tags_and_where_asked_for(tmp_path: Path, text: str, traces: bool) -> None:
+def test_the_outline_of_a_film_is_read_unless_it_is_refused(tmp_path: Path, text: str, traces: bool) -> None:
     assert read_recording(written(tmp_path, text)).traces_outline is traces
 
 
