@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from onebend.errors import MissingPackageError
 
-Extra = Literal["calibrate", "franka", "ros", "ros2", "sklearn", "studio", "ur"]
+Extra = Literal["batch", "calibrate", "franka", "ros", "ros2", "sklearn", "studio", "ur"]
 
 
 def package(name: str, extra: Extra) -> Any:

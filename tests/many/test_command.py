@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import pyarrow.parquet as pq
+import pytest
 from typer.testing import CliRunner, Result
 
 from onebend import cli
+from onebend.many.tasks import TaskSettings, items_of, on_worker
 from onebend.report.wording import significant
 from tests.many.stems import stem
 
@@ -64,3 +67,24 @@ def test_what_cannot_be_met_is_said(tmp_path: Path) -> None:
     stems.mkdir()
     refused(run(stems, "-o", tmp_path / "out"), "holds no recording", "Name another")
     assert [path.name for path in tmp_path.iterdir()] == ["stems"]
+
+
+def test_a_cluster_learns_as_one_machine_does(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    stem(tmp_path / "stems" / "one", seed=1)
+    assert run(tmp_path / "stems", "-o", tmp_path / "here", "--workers", 1).exit_code == 0
+    with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as cluster:
+        there = run(tmp_path / "stems", "-o", tmp_path / "there", "--scheduler", cluster.scheduler_address)
+    assert there.exit_code == 0, there.output
+    curves = [pq.read_table(tmp_path / name / "curves.parquet") for name in ("here", "there")]
+    assert curves[0].equals(curves[1])
+
+
+def test_what_a_cluster_cannot_do_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stem(tmp_path / "stems" / "one", seed=1)
+    asked = (tmp_path / "stems", "-o", tmp_path / "out", "--scheduler", "tcp://127.0.0.1:1")
+    refused(run(*asked, "--workers", 2), "Give --scheduler or --workers")
+    item, settings = items_of(tmp_path / "stems", tmp_path / "out")[0], TaskSettings(tmp_path / "out", "0.0.0")
+    assert "Install the same on both" in on_worker(item, settings).reason
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    refused(run(*asked), "pip install 'onebend[batch]'")

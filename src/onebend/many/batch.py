@@ -65,6 +65,7 @@ def run_batch(
     out: Path | str,
     *,
     workers: int | None = None,
+    scheduler: str | None = None,
     folders: bool = False,
     progress: Progress = Silent(),
 ) -> BatchOutcome:
@@ -72,12 +73,16 @@ def run_batch(
 
     Args:
         workers: processes; None: one per core.
+        scheduler: address of a Dask scheduler, whose workers learn instead.
         folders: also write a results folder per recording.
 
     Raises:
         RecordingError: the list cannot be used.
-        ResultsError: `out` holds something else, or is being written.
+        MissingPackageError: a scheduler is given, and Dask is not installed.
+        ResultsError: `out` holds something else, or is being written; no scheduler answers; workers for a cluster.
     """
+    if scheduler is not None and workers is not None:
+        raise ResultsError("a cluster has its own workers. Give --scheduler or --workers, not both")
     target = Path(os.path.realpath(out))
     items = tasks.items_of(Path(source), target)
     if folders:
@@ -88,7 +93,8 @@ def run_batch(
     try:
         _take(target)
         settings = tasks.TaskSettings(target, version("onebend"), folders)
-        results = _all(items, settings, workers, progress)
+        found = tasks.results_on(scheduler, items, settings) if scheduler else tasks.results_of(items, settings, workers)
+        results = _all(items, settings, found, progress)
         for left in (target / tasks.RECORDS).glob(".*.json"):
             with suppress(OSError):
                 left.unlink()  # of lost workers
@@ -109,11 +115,14 @@ def _take(out: Path) -> None:
 
 
 def _all(
-    items: Sequence[tasks.Item], settings: tasks.TaskSettings, workers: int | None, progress: Progress
+    items: Sequence[tasks.Item],
+    settings: tasks.TaskSettings,
+    results: Iterable[tuple[int, tasks.ItemResult]],
+    progress: Progress,
 ) -> list[tasks.ItemResult]:
     found: dict[int, tasks.ItemResult] = {}
     try:
-        for i, result in track(progress, "Recordings", tasks.results_of(items, settings, workers), len(items)):
+        for i, result in track(progress, "Recordings", results, len(items)):
             found[i] = result
     except BaseException as error:
         error.add_note(

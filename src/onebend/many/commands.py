@@ -98,6 +98,10 @@ Results = Annotated[
 Workers = Annotated[
     int | None, typer.Option("--workers", min=1, metavar="N", help="Number of processes; default: one per core.")
 ]
+Scheduler = Annotated[
+    str | None,
+    typer.Option("--scheduler", metavar="ADDRESS", help="Dask cluster that sees these folders under the same paths."),
+]
 Folders = Annotated[
     bool, typer.Option("--folders", help="Also write a results folder of each recording, without pictures.")
 ]
@@ -108,13 +112,16 @@ def batch(
     *,
     output: Results,
     workers: Workers = None,
+    scheduler: Scheduler = None,
     folders: Folders = False,
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
     with common.clean_errors():
         with common.progress_of(quiet) as progress:
-            outcome = run_batch(source, output, workers=workers, folders=folders, progress=progress)
+            outcome = run_batch(
+                source, output, workers=workers, scheduler=scheduler, folders=folders, progress=progress
+            )
         summary = batches.summary_of(outcome, written_by=BY)
         batches.write_batch(outcome, summary, version=onebend.__version__)
     common.answer(as_json, summary, lambda console: show_batch(console, outcome), output)

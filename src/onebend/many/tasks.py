@@ -1,4 +1,4 @@
-"""One recording as one task, in a process of its own."""
+"""One recording as one task, in a process of its own or on another machine."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import time
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures import BrokenExecutor, CancelledError, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
 from queue import SimpleQueue
@@ -21,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from onebend.errors import OnebendError, RecordingError, ResultsError, told
+from onebend.extras import package
 from onebend.files.publish import (
     OWN_CHECKSUM,
     abandon,
@@ -261,7 +263,7 @@ class TaskSettings:
     """Of all tasks of a batch."""
 
     out: Path  # absolute
-    version: str  # of onebend
+    version: str  # of the onebend that asks
     folders: bool = False
     fitting: FitSettings = field(default_factory=FitSettings)
     # other cores have their own recordings
@@ -419,3 +421,45 @@ def results_of(
 
 def _process() -> ProcessPoolExecutor:
     return ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=end_with_parent)
+
+
+# Tasks on a Dask cluster, whose machines see all folders under the same paths.
+
+WAIT = "30s"  # for the scheduler
+LOST = "the scheduler of the cluster is lost. Start it and its workers again"
+
+
+def on_worker(item: Item, settings: TaskSettings) -> ItemResult:
+    """`do`, by the onebend of the machine that runs it."""
+    here = version("onebend")
+    if here != settings.version:
+        text = f"the worker has onebend {here}, but onebend {settings.version} asks. Install the same on both"
+        return ItemResult("", False, text)
+    return do(item, settings)
+
+
+def results_on(
+    address: str, items: Sequence[Item], settings: TaskSettings, work: Work = on_worker
+) -> Iterator[tuple[int, ItemResult]]:
+    """As `results_of`, from the workers of the Dask scheduler at `address`, which repeat the tasks of lost workers.
+    Raises `MissingPackageError`, or `ResultsError` if nobody answers or the scheduler is lost."""
+    library = package("distributed", "batch")
+    try:
+        client = library.Client(address, timeout=WAIT)
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"no scheduler answers at {address} ({error}). Start one, or correct it") from error
+    with client:
+        try:
+            futures = {client.submit(work, item, settings, pure=False): i for i, item in enumerate(items)}
+            for future in library.as_completed(futures):
+                yield futures[future], _of_worker(future, library)
+        except (OSError, CancelledError) as error:
+            raise ResultsError(LOST) from error
+
+
+def _of_worker(future: Any, library: Any) -> ItemResult:
+    try:
+        found: ItemResult = future.result()
+    except library.KilledWorker:
+        return ItemResult("", True, "the workers that learned from it were lost: too little memory?")
+    return found
