@@ -46,7 +46,7 @@ def fitted(case: str) -> Posterior:
     changed = {
         "as it is": one,
         "turned": turned(one, 15.0),
-        "small": smaller(one, 0.9),
+        "small": smaller(one, 0.88),
         "thin": with_section(one, 1e-4),
         "axes": remarked(one, 0.5),
     }

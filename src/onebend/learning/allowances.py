@@ -397,7 +397,7 @@ def between_recordings(nodes: Array) -> Allowance:
 PATCH_SD = 0.4  # of the log of the factor on k under a tag: paper to stiff plastic
 SHARES = np.array([0.25, 0.5, 0.25])  # of the widths below
 WIDTHS = np.array([1.05, 1.25, 1.6])  # of a patch over the tag's black square: a printed tag has a rim of one cell
-_GLUED = tuple(np.geomspace(0.01, 2.0, 17).tolist())  # of `PATCH_SD`
+_GLUED = tuple(np.geomspace(0.01, 2.0, 17).tolist())  # `Allowance.sizes` of what is glued on: more than nothing
 USUAL_SIZE = 0.08  # of the length: a tag's black square where nobody says its size
 _USUAL_WIDTHS = np.array([0.8, 1.25, 1.9])  # over `USUAL_SIZE`
 _SOFT = 0.04  # of half a width: its edge in s

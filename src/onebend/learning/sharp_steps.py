@@ -22,6 +22,7 @@ _MOST = 4  # steps and bumps
 _VARIANCES = np.array([0.1, 1.0])  # of log k, that are tried for one
 _ROUGHNESS = (0.3, 1.0, 3.0, 8.0)  # of the smooth part
 _LEAST = 1e-8  # variance of the others
+_STRONG = 3.0  # of the log evidence: "strong" in Kass and Raftery (1995); below it the wider band of many steps stands
 _ROUNDS = 3  # of choice and fit: the choice is that of a linear model
 _STEPS, _TOLERANCE = 25, 0.05  # of a fit on the way
 
@@ -36,13 +37,13 @@ class _Choice:
 
 
 def with_sharp_steps(problem: FitProblem, estimate: MapEstimate) -> MapEstimate:
-    """The maximum with few steps and bumps if its evidence is greater than that of `estimate`, and the model that is
+    """The maximum with few steps and bumps if its evidence is far greater than that of `estimate`, and the model that is
     linear about it would choose some again; else `estimate`."""
     if problem.layout.known is not None:
         return estimate
     evidence = evidence_at(problem, estimate)
     now = evidence.posterior(estimate.hyperparameters)
-    spline, least, best = problem.layout.spline, now.log_evidence, None
+    spline, least, best = problem.layout.spline, now.log_evidence + _STRONG, None
     tried: list[Array] = []
     trial = estimate
     for _ in range(_ROUNDS):
@@ -57,9 +58,8 @@ def with_sharp_steps(problem: FitProblem, estimate: MapEstimate) -> MapEstimate:
         trial = descend(problem, held, prior(problem, held.hyperparameters), _STEPS, _TOLERANCE)
         evidence = evidence_at(problem, trial)
         now = evidence.posterior(trial.hyperparameters)
-        score = now.log_evidence
-        if trial.converged and score > least:
-            least, best = score, trial
+        if trial.converged and now.log_evidence > least:
+            least, best = now.log_evidence, trial
     if best is None:
         return estimate
     begin = stand_at(spline, best.hyperparameters.part_variances)

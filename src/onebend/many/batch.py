@@ -93,7 +93,9 @@ def run_batch(
     try:
         _take(target)
         settings = tasks.TaskSettings(target, version("onebend"), folders)
-        found = tasks.results_on(scheduler, items, settings) if scheduler else tasks.results_of(items, settings, workers)
+        found = (
+            tasks.results_on(scheduler, items, settings) if scheduler else tasks.results_of(items, settings, workers)
+        )
         results = _all(items, settings, found, progress)
         for left in (target / tasks.RECORDS).glob(".*.json"):
             with suppress(OSError):
