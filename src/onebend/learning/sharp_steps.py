@@ -37,8 +37,8 @@ class _Choice:
 
 
 def with_sharp_steps(problem: FitProblem, estimate: MapEstimate) -> MapEstimate:
-    """The maximum with few steps and bumps if its evidence is far greater than that of `estimate`, and the model that is
-    linear about it would choose some again; else `estimate`."""
+    """The maximum with few steps and bumps if its evidence is far greater than that of `estimate` and the model
+    that is linear about it would choose some again, else `estimate`."""
     if problem.layout.known is not None:
         return estimate
     evidence = evidence_at(problem, estimate)
