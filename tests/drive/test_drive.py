@@ -104,6 +104,7 @@ def test_the_true_point_comes_to_rest_on_the_goal(
 TURN = 0.008
 
 
+@pytest.mark.slow
 def test_a_drive_is_a_recording(tmp_path: Path) -> None:
     rec = read_recording(described(tmp_path), filmed=False)
     plan = planned(rec, [goal_of(), goal_of(force=(0.0, 0.15))], settings=replace(QUICK, rest=1.0))

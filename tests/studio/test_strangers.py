@@ -98,6 +98,7 @@ def test_strangers_do_not_lock_the_owner_out(studio: Studio, sent: str) -> None:
     assert studio.said.read_text() == ""
 
 
+@pytest.mark.slow
 def test_what_is_cut_or_no_text_leaves_no_traceback(studio: Studio) -> None:
     with studio.connected() as cut:
         cut.sendall(studio.head("POST /api/learn", studio.cookie, "Content-Length: 1000") + b"{")
