@@ -22,7 +22,7 @@ _MOST = 4  # steps and bumps
 _VARIANCES = np.array([0.1, 1.0])  # of log k, that are tried for one
 _ROUGHNESS = (0.3, 1.0, 3.0, 8.0)  # of the smooth part
 _LEAST = 1e-8  # variance of the others
-_STRONG = 3.0  # of the log evidence: "strong" in Kass and Raftery (1995); below it the wider band of many steps stands
+_STRONG = 5.0  # of the log evidence: "very strong" in Kass and Raftery (1995); below it the band of many steps stands
 _ROUNDS = 3  # of choice and fit: the choice is that of a linear model
 _STEPS, _TOLERANCE = 25, 0.05  # of a fit on the way
 
