@@ -24,8 +24,8 @@ from scipy.special import ndtri
 from onebend.beam.stiffness import SHAPE_LEVELS, SHAPE_PLACES
 from onebend.errors import LearningError
 from onebend.learning.criticism import ALARM, Criticism
-from onebend.learning.hyperparameters import Evidence, with_stiffness_prior
-from onebend.learning.linear import FitProblem, Hyperparameters, data_information, log_k_map, prior
+from onebend.learning.hyperparameters import with_stiffness_prior
+from onebend.learning.linear import FitProblem, Hyperparameters, log_k_map, prior
 from onebend.learning.normal import JointCovariance
 from onebend.learning.optimizer import (
     FitSettings,
@@ -34,9 +34,9 @@ from onebend.learning.optimizer import (
     Optimum,
     carried_over,
     descend,
+    evidence_at,
     find_maximum,
     rewritten_problem,
-    rows_of,
     starting,
 )
 from onebend.learning.parameters import Layout
@@ -122,7 +122,7 @@ def under(fit: AtPlace, common: Hyperparameters, least: float = -np.inf) -> AtPl
         for i in range(_ROUNDS):
             now = estimate.hyperparameters
             estimate = descend(problem, estimate, prior(problem, now), _NOISE.most_steps, _NOISE.tolerance)
-            evidence = Evidence(problem, data_information(problem, rows_of(estimate), estimate.x, now))
+            evidence = evidence_at(problem, estimate)
             value = evidence.posterior(now).log_evidence_of_shared
             if i + 1 == _ROUNDS or not value >= least:
                 break

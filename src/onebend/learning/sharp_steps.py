@@ -68,11 +68,6 @@ def with_sharp_steps(problem: FitProblem, estimate: MapEstimate) -> MapEstimate:
     return replace(best, hyperparameters=found, steps=steps, converged=converged)
 
 
-def _cost(spline: Spline) -> float:
-    """Log of the number of steps and bumps."""
-    return float(np.log(len(spline.share)))
-
-
 def chosen(form: InformationForm, spline: Spline, level: float) -> _Choice:
     """Forward selection by evidence (Tipping and Faul 2003) from the likelihood of log k, linear about a maximum."""
     return max((_chosen(form, spline, level, tau) for tau in _ROUGHNESS), key=lambda one: one.score)
@@ -81,6 +76,7 @@ def chosen(form: InformationForm, spline: Spline, level: float) -> _Choice:
 def _chosen(form: InformationForm, spline: Spline, level: float, tau: float) -> _Choice:
     """With a smooth part of roughness tau."""
     p, parts, one = spline.count, spline.parts, np.eye(spline.count)
+    cost = np.log(len(spline.share))
     variances, gap = spline.variances(tau, 0.0), form.vector - form.matrix @ np.full(spline.count, level)
     score, count = _log_evidence(form, parts, variances, gap), 0
     while count < _MOST:
@@ -91,7 +87,7 @@ def _chosen(form: InformationForm, spline: Spline, level: float, tau: float) -> 
         added = _VARIANCES[:, None]
         gains = 0.5 * (added * shown**2 / (1.0 + added * known) - np.log1p(added * known))
         size, place = np.unravel_index(np.argmax(gains), gains.shape)
-        gain = float(gains[size, place]) - _cost(spline)
+        gain = float(gains[size, place] - cost)
         if gain <= 0.0:
             break
         variances[p + place] += _VARIANCES[size]

@@ -357,6 +357,12 @@ def edge_size(sight: Sight, curve: Curve, half: Array, part: BoolArray) -> float
     return float(np.nanmin([np.linalg.norm(one[1] - one[0]) for one in sides]))
 
 
+def pixel_noise(colour: Array, axis: int) -> Array:
+    """(3,) sd of each colour (..., 3) by the differences of neighbours along an axis."""
+    away = np.abs(np.diff(colour, axis=axis))
+    return np.asarray(MAD_TO_SD / math.sqrt(2.0) * np.nanmedian(away, axis=tuple(range(colour.ndim - 1))))
+
+
 def appearance(sight: Sight, curve: Curve, half: Array, part: BoolArray, step: float) -> Look:
     """How much the body's colour varies across it along `part` (M,) of the curve, at least a share of the `step` at its
     flanks: less is shade on the body."""
@@ -364,7 +370,7 @@ def appearance(sight: Sight, curve: Curve, half: Array, part: BoolArray, step: f
     width = float(np.median(half[part] * scale))  # px
     across = np.arange(-0.6 * width, 0.6 * width + STEP, STEP)
     colour = sight.planes.at(sight.pixels(curve.xy[part])[:, None] + across[:, None] * normal[:, None])
-    pixel = MAD_TO_SD / math.sqrt(2.0) * np.nanmedian(np.abs(np.diff(colour, axis=0)), axis=(0, 1))
+    pixel = pixel_noise(colour, axis=0)
     smooth = np.lib.stride_tricks.sliding_window_view(colour, min(_SIDE, len(across)), axis=1).mean(axis=-1)
     spread = MAD_TO_SD * np.nanmedian(np.abs(smooth - nan_median(smooth, axis=1)[:, None]), axis=(0, 1))
     least = max(1.0, STEP_SHARE * step)  # of 255: no encoder keeps less
@@ -627,8 +633,8 @@ def with_tags(
 ) -> tuple[OutlineSearch, Array]:
     """The flanks in pictures whose `tags` are known, and half the body's width (M,) m."""
     seen = straightened(sights, stations, through_tags(stations, tags))
-    noise = np.abs(np.diff(seen.colour[:: max(1, len(seen.colour) // LOOKED_AT)].astype(np.float32), axis=3))
-    pixel_sd = np.maximum(MAD_TO_SD / math.sqrt(2.0) * np.median(noise, axis=(0, 1, 2, 3)), 1.0)
+    some = seen.colour[:: max(1, len(seen.colour) // LOOKED_AT)].astype(np.float32)
+    pixel_sd = np.maximum(pixel_noise(some, axis=3), 1.0)
     place, size = lasting_edges(seen, hidden, pixel_sd)
     least = np.maximum(STAYS * size, LEAST)
     found = []
