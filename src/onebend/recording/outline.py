@@ -357,7 +357,7 @@ def edge_size(sight: Sight, curve: Curve, half: Array, part: BoolArray) -> float
     return float(np.nanmin([np.linalg.norm(one[1] - one[0]) for one in sides]))
 
 
-def pixel_noise(colour: Array, axis: int) -> Array:
+def pixel_noise(colour: NDArray[np.floating[Any]], axis: int) -> Array:
     """(3,) sd of each colour (..., 3) by the differences of neighbours along an axis."""
     away = np.abs(np.diff(colour, axis=axis))
     return np.asarray(MAD_TO_SD / math.sqrt(2.0) * np.nanmedian(away, axis=tuple(range(colour.ndim - 1))))
