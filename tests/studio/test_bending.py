@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import shlex
 import tempfile
@@ -21,6 +22,8 @@ from onebend.errors import StudioError
 from onebend.records import Array
 from onebend.results.model import read_model, save_model
 from onebend.studio.bending import Bending, edge_lines
+from onebend.studio.desk import Desk
+from onebend.studio.places import StudioFolder
 from tests import made_up
 from tests.studio.conftest import PORT, own
 
@@ -191,6 +194,29 @@ def test_a_hand_holds_the_end_and_says_how_far_it_gets(working: TestClient) -> N
         assert "--moment" in turned["command"]
         socket.send_json({"do": "set", "model": "beam", "settings": {"mode": "point"}})
         heard(socket, "beam")
+
+
+@pytest.mark.parametrize("mode", ["hand", "point"])
+def test_no_edge_is_told_of_a_hand_that_has_let_go(folder: Path, monkeypatch: pytest.MonkeyPatch, mode: str) -> None:
+    bending = Bending.of("beam", folder / "beam")
+    bending.change({"mode": "hand"})
+    told: list[dict[str, Any]] = []
+
+    async def late(*_: Any) -> list[Any]:
+        if mode == "point":
+            bending.change({"mode": mode})
+        return []
+
+    async def edge() -> None:
+        desk = Desk(StudioFolder(folder))
+        monkeypatch.setattr(desk, "_aside", late)
+        monkeypatch.setattr(desk, "tell", told.append)
+        desk.beams["beam"] = bending
+        await desk._edge("beam")
+        await desk.end()
+
+    asyncio.run(edge())
+    assert [one["what"] for one in told] == (["edge"] if mode == "hand" else [])
 
 
 @pytest.mark.parametrize("model", ["nowhere", "../beam", "/etc"])

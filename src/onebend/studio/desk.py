@@ -136,7 +136,7 @@ class Desk:
             self._wanted[model] = (client.number, n, goal)
             self._drags.set()
         elif do == "set":
-            await self._show(model, partial(self._beam(model).change, settings), tuple(self.clients))
+            await self._set(model, settings)
 
     async def _watched(self, work: Awaitable[None], put: Callable[[dict[str, Any]], None]) -> None:
         """Reports any failure of the work."""
@@ -155,7 +155,14 @@ class Desk:
             while len(self.beams) >= _MOST_BEAMS:
                 self.forget(next(iter(self.beams)))
             self.beams.setdefault(model, bending)
+            self._spawn(self._map(model))
         await self._show(model, lambda: None, (client,))
+
+    async def _set(self, model: str, settings: dict[str, Any]) -> None:
+        bending = self._beam(model)
+        await self._show(model, partial(bending.change, settings), tuple(self.clients))
+        if bending.point.map is None:
+            self._spawn(self._map(model))
 
     def forget(self, model: str) -> None:
         """Drops a beam that was learned again, or one too many; viewers open it again."""
@@ -163,7 +170,7 @@ class Desk:
             self.tell({"what": "forgotten", "model": model})
 
     async def _show(self, model: str, change: Callable[[], None], clients: tuple[Client, ...]) -> None:
-        """The beam after a change of its settings, and its map."""
+        """The beam after a change of its settings, and its map if there is one."""
         bending = self._beam(model)
 
         def changed() -> dict[str, Any]:
@@ -173,10 +180,7 @@ class Desk:
         shown = await self._in_thread(changed)
         for client in clients:
             client.put({"what": "beam", "model": model, **shown})
-        if bending.point.map is None:
-            self._spawn(self._map(model))
-        else:
-            await self._show_map(model, bending, clients)
+        await self._show_map(model, bending, clients)
         if bending.hand is not None:
             self._spawn(self._edge(model))
 
@@ -247,11 +251,12 @@ class Desk:
         try:
             done = -1
             while done != self._moves.get(model, 0) and (bending := self.beams.get(model)) is not None:
-                done, state = self._moves.get(model, 0), bending.state
-                if bending.hand is None:
+                done, state, hand = self._moves.get(model, 0), bending.state, bending.hand
+                if hand is None:
                     return
                 edge = await self._aside(mapping.hand_edge, bending.beam, state.q, state.load, bending.max_force)
-                self.tell({"what": "edge", "model": model, "edge": edge})
+                if bending.hand is hand:  # it may have let go meanwhile
+                    self.tell({"what": "edge", "model": model, "edge": edge})
         finally:
             self._busy.discard(model)
 
