@@ -64,11 +64,11 @@ from .static_poses import HeldEnds as HeldEnds, SeenPoses as SeenPoses
 from .swing import (
     Damping as Damping,
     DampingSettings as DampingSettings,
-    FilmPart as FilmPart,
     Swing as Swing,
     SwingFit as SwingFit,
 )
 from .swing_frequencies import (
+    FilmPart as FilmPart,
     FoundFrequencies as FoundFrequencies,
     SwingFrequency as SwingFrequency,
     frequencies_of as frequencies_of,
