@@ -25,7 +25,7 @@ from onebend.learning.swing_frequencies import (
 )
 from onebend.options import option
 from onebend.progress import one_blas_thread
-from onebend.records import Array, Observations
+from onebend.records import Array, Observations, tags_among
 
 _MARGIN = 0.1  # s after the last contact found: the tool leaves the beam within it
 _STANDS = 0.2  # m/s^2, by which gravity may turn while the base stands
@@ -54,7 +54,8 @@ def find_swing(o: Observations, part: FilmPart = FilmPart()) -> Swing:
     film_time = o.time - (o.source.clock.offset if o.source.clock is not None else 0.0)
     begin = _release(o, film_time) if part.begin is None else part.begin
     chosen = (film_time >= begin) & (film_time <= (np.inf if part.end is None else part.end))
-    chosen &= np.isfinite(o.xy).any(axis=(1, 2))
+    xy, tags = _watched(o), tags_among(o)
+    chosen &= np.isfinite(xy).any(axis=(1, 2))
     if not chosen.any():
         raise LearningError(
             f"{o.source.name}: no frame shows tags from {begin:.2f} s of the film on. Film on after the release until "
@@ -68,19 +69,25 @@ def find_swing(o: Observations, part: FilmPart = FilmPart()) -> Swing:
         name=o.source.name,
         time=o.time[chosen] - o.time[chosen][0],
         begin=float(film_time[chosen][0]),
-        s=o.marker_s,
-        xy=o.xy[chosen],
+        s=o.marker_s[tags] if tags.any() else o.marker_s,
+        xy=xy[chosen],
         gravity=np.asarray(o.gravity[chosen].mean(axis=0)),
         rate=1.0 / float(np.median(np.diff(o.time))),
     )
 
 
+def _watched(o: Observations) -> Array:
+    """(T, m, 2) m, the tags, which every frame may show; without tags the points of the outline."""
+    tags = tags_among(o)
+    return o.xy[:, tags] if tags.any() else o.xy
+
+
 def _release(o: Observations, film_time: Array) -> float:
-    """s on the film's clock from which the beam is free: after the last contact, or from the first regular passage
-    through rest."""
+    """s on the film's clock from which the beam is free: from the first regular passage through rest, or after the last
+    contact."""
     touched = np.flatnonzero(o.loaded)
-    free = first_passage(film_time, o.xy.reshape(len(film_time), -1))
-    if np.isfinite(free) and not (len(touched) and film_time[touched[-1]] < free):
+    free = first_passage(film_time, _watched(o).reshape(len(film_time), -1))
+    if np.isfinite(free):
         return free
     if not len(touched):
         raise LearningError(f"{o.source.name}: no contact was found, so no release. Say when the beam swings: --from-s")

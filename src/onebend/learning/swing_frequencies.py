@@ -34,7 +34,7 @@ _DEADEST, _VAGUEST = 0.3, 0.03  # decay and sd over the frequency, of what is no
 _REST = 0.25  # of a record, over which a swing is nearest to its middle
 _CLEAR = 5.0  # sd of the noise that half a swing must exceed
 _UNEVEN, _GROWS = 0.4, 1.2  # by which half swings may differ in time, and grow, as frames are few
-_FEWEST_SEEN = 12  # samples of a signal in which a swing is looked for
+_FEWEST_SEEN, _OFTEN = 12, 0.7  # samples of a signal in which a swing is looked for, and share of the most
 _HALF_SWINGS = 4  # that are a swing
 
 
@@ -166,10 +166,10 @@ def _refuse_unordered(time: Array, name: str) -> None:
 def first_passage(time: Array, signals: Array) -> float:
     """s, of the first passage through rest of a swing that is regular and dies away; NaN if no signal (N, C) shows
     one."""
-    found = []
+    found, most = [], int(np.max(np.isfinite(signals).sum(axis=0), initial=0))
     for column in signals.T:
         seen = np.isfinite(column)
-        if seen.sum() < _FEWEST_SEEN:
+        if seen.sum() < max(_FEWEST_SEEN, _OFTEN * most):
             continue
         value = column[seen] - np.median(column[seen][-max(int(_REST * seen.sum()), _FEWEST_SEEN) :])
         rough = float(np.median(np.abs(np.diff(value, n=2)))) / np.sqrt(6.0)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
-from onebend.learning.endings import RUN, ContactFrames, Edge
+from onebend.learning.endings import RUN, ContactFrames, Edge, scanned
 from onebend.learning.sensing.forces import Estimates, FrameForces, estimated
 from onebend.records import Array, BoolArray, IntArray
 
@@ -142,12 +142,11 @@ def _backward(frames: list[_Frame]) -> tuple[Array, Array]:
 
 # The force is zero until `t0`, and then `j + v t + a t^2 / 2 + c t^3 / 3 + w(t)`, with w white noise integrated twice.
 # For given sizes of the five the evidence of each `t0` has a closed form; it is summed over sizes. An end is a
-# beginning with time reversed, where the bending does not show it (`endings`).
+# beginning with time reversed, where no swing shows it (`endings`).
 
 _BEFORE, _AFTER = 48, 24  # frames that tell when it begins
 _LATER = 5  # frames that show a force, and still may be from before
-_PLACES = 48  # times that are tried, and again where it is likely
-_LIKELY = 12.0  # of the log evidence below the best: farther down it is not
+_PLACES = (48, 48)  # times that are tried, and again where it is likely
 _LAST = (3e-3, 3e-2, 0.3, 1.0)  # w's sd at the end
 # Of a jump, of what begins with the first, second and third power of time, and of w. A robot's hand that begins as
 # smoothly as it can (least jerk) begins with the third.
@@ -212,15 +211,8 @@ def _begin(readings: FrameForces, first: int, prior_sd: float) -> Edge:
     if first == 0 or len(time) < RUN + 1:
         return Edge(float("nan"), float("inf"))
     low, high = float(time[0]), float(time[min(first + _LATER, len(time) - 1)])
-    for _ in range(2):
-        at = np.linspace(low, high, _PLACES)
-        evidence = _evidence_of_edges(readings, at, first, prior_sd)
-        likely = at[evidence > np.max(evidence) - _LIKELY]
-        low, high = max(low, float(likely[0] - at[1] + at[0])), min(high, float(likely[-1] + at[1] - at[0]))
-    weight = np.exp(evidence - np.max(evidence))
-    weight /= np.sum(weight)
-    mean = float(weight @ at)
-    return Edge(mean, float(np.sqrt(weight @ (at - mean) ** 2 + (at[1] - at[0]) ** 2 / 12.0)))
+    mean, sd, _ = scanned(lambda at: _evidence_of_edges(readings, at, first, prior_sd), low, high, _PLACES)
+    return Edge(mean, sd)
 
 
 def _evidence_of_edges(readings: FrameForces, at: Array, first: int, prior_sd: float) -> Array:

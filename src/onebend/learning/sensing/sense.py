@@ -421,7 +421,7 @@ def _over_time(
     seek_place = settings.place == "unknown"
     readings = read(searched.bench, frames[some], force, found.place, priors, seek_place=seek_place)
     bench = searched.bench
-    every = ended(bending(bench.beam, bench.observations).take(frames), runs, readings.widened)
+    every = ended(bending(bench.beam, bench.observations).take(frames), runs)
     both = zip(every, edges_of(readings, some, every, len(frames), prior), strict=True)
     contacts = joined([Touch(float(time[c.first]), float(time[c.last]), begin, end) for c, (begin, end) in both])
     if not settings.smooth:
