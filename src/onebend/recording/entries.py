@@ -292,8 +292,7 @@ class PosesEntry:
     loads: Path = key(
         'loads = "loads.csv"',
         text,
-        "a table with columns pose, s and any of weight_N, mass_kg, fx_N, fy_N, moment_N_m, clamp_deg, "
-        "turned_from_deg, order; one row a load",
+        "a table with columns pose, s and any of weight_N, mass_kg, fx_N, fy_N, moment_N_m, clamp_deg; one row a load",
     )
     axes: Axes = key(
         'axes = "room"',
