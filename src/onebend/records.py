@@ -219,7 +219,7 @@ class MeasuredFrequency:
 
     frequency: float  # Hz, undamped
     sd: float  # Hz
-    mode: int  # 1 is the slowest; 0: not said
+    mode: int  # 1 is the slowest
     gravity: tuple[float, ...]  # (2,) m/s^2 in the beam's frame; zeros where it swings across gravity
     tip_mass: float = 0.0  # kg, fixed to the tip
 

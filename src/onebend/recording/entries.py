@@ -362,7 +362,7 @@ class FrequencyEntry:
 
     hz: float = key("hz = 3.21", POSITIVE, "the frequency of the free swing, Hz")
     sd: float = key("sd_hz = 0.01", POSITIVE, "how exactly it is known (one sd), Hz")
-    mode: int = key("mode = 1", whole(least=1), "which of the beam's frequencies it is, 1 the slowest", 0)
+    mode: int = key("mode = 1", whole(least=1), "which of the beam's frequencies it is, 1 the slowest")
     base_angle: float = key(
         "base_angle_deg = -90.0",
         ANGLE,

@@ -17,7 +17,7 @@ from onebend.learning.endings import Edge, bending, ended
 from onebend.learning.force_error import force_error
 from onebend.learning.outcome import Notice
 from onebend.learning.sensing import model
-from onebend.learning.sensing.contacts import Smoothed, edges_of, frames_at_edges, runs_of, smoothed, within
+from onebend.learning.sensing.contacts import edges_of, frames_at_edges, runs_of, within
 from onebend.learning.sensing.forces import (
     TOUCH,
     Estimates,
@@ -75,9 +75,6 @@ class SenseSettings:
         "One sd of the moment before; default: the force's times L.",
         metavar="NM",
         within=POSITIVE,
-    )
-    smooth: bool = option(
-        "--smooth", False, "Besides, the force as a process over the frames: what neighbours say counts."
     )
 
 
@@ -173,7 +170,6 @@ class Sensed:
     misfit: Misfit | None  # None: no frame shows a force
     logged: Array  # (T, 2) N, as the recording's log says; NaN where it has none
     common: Array  # (T, 2, r) N, change of the force for one sd of each of the r errors that all frames share
-    smoothed: Smoothed | None = None  # with what neighbouring frames say, where that was asked for
     moment: ContactMoment | None = None  # where one was asked for
     sensor: SensorCheck | None = None  # the log, judged by this; None: too little of it, or forces not to be trusted
     remarks: tuple[Notice, ...] = ()
@@ -349,7 +345,7 @@ def _sensed(searched: Searched, frames: IntArray, priors: Array, settings: Sense
     covariance = np.where(known[:, None, None], covariance, np.nan)
     values, vectors = np.linalg.eigh(np.nan_to_num(covariance[:, :2, :2]))
     touched = touches(found)
-    contacts, smooth = _over_time(searched, frames, touched, priors, settings)
+    contacts = _over_time(searched, frames, touched, priors, settings)
     place, place_sd = _places(searched, settings, known)
     share = np.einsum("tcc->tc", covariance) / priors**2
     out = Sensed(
@@ -373,7 +369,6 @@ def _sensed(searched: Searched, frames: IntArray, priors: Array, settings: Sense
         misfit=searched.misfit,
         logged=logged_forces(o)[frames],
         common=(axes @ found.common)[:, :2],
-        smoothed=None if smooth is None else smooth.turned(bench.axes),
     )
     if n == 3:
         sd = np.sqrt(covariance[:, 2, 2])
@@ -410,25 +405,18 @@ def _judged(out: Sensed, o: Observations, frames: IntArray) -> SensorCheck | Non
 
 def _over_time(
     searched: Searched, frames: IntArray, touched: BoolArray, priors: Array, settings: SenseSettings
-) -> tuple[tuple[Touch, ...], Smoothed | None]:
-    """When each contact began and ended, and the force as a process where that is asked for."""
+) -> tuple[Touch, ...]:
+    """When each contact began and ended."""
     runs, time, prior = runs_of(touched), searched.bench.observations.time[frames], float(priors[0])
-    some = np.arange(len(frames)) if settings.smooth else frames_at_edges(runs, len(frames))
     if not runs:
-        return (), smoothed(time, searched.found, [], prior, 1.0) if settings.smooth else None
-    found, inside = searched.found.take(some), within(runs, len(frames))[some]
+        return ()
+    some = frames_at_edges(runs, len(frames))
+    found, inside, bench = searched.found.take(some), within(runs, len(frames))[some], searched.bench
     force = np.where(inside[:, None] | np.isnan(found.force), found.force, 0.0)
-    seek_place = settings.place == "unknown"
-    readings = read(searched.bench, frames[some], force, found.place, priors, seek_place=seek_place)
-    bench = searched.bench
+    readings = read(bench, frames[some], force, found.place, priors, seek_place=settings.place == "unknown")
     every = ended(bending(bench.beam, bench.observations).take(frames), runs)
     both = zip(every, edges_of(readings, some, every, len(frames), prior), strict=True)
-    contacts = joined([Touch(float(time[c.first]), float(time[c.last]), begin, end) for c, (begin, end) in both])
-    if not settings.smooth:
-        return contacts, None
-    spans = [np.searchsorted(time, one.span) for one in contacts]
-    runs = [(int(a), int(b) - 1) for a, b in spans if b > a]
-    return contacts, smoothed(time, searched.found, runs, prior, readings.widened)
+    return joined([Touch(float(time[c.first]), float(time[c.last]), begin, end) for c, (begin, end) in both])
 
 
 # One frame after the other, each from the force and place of the one before.
