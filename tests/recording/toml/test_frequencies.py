@@ -23,10 +23,10 @@ def written(folder: Path, text: str) -> Path:
 
 
 def test_frequencies_alone_need_no_tags(tmp_path: Path) -> None:
-    rows = f"{ROW}mode = 2\nbase_angle_deg = -90\ntip_mass_kg = 0.01\ndamping_ratio = 0.6\n{ROW}"
+    rows = f"{ROW}mode = 2\nbase_angle_deg = -90\ntip_mass_kg = 0.01\ndamping_ratio = 0.6\n{FIRST}"
     seen = observe(written(tmp_path, BEAM + rows))
     hangs, across = seen.frequencies
-    assert (hangs.mode, hangs.tip_mass, across.mode) == (2, 0.01, 0)
+    assert (hangs.mode, hangs.tip_mass, across.mode) == (2, 0.01, 1)
     assert hangs.frequency == pytest.approx(9.0 / 0.8)  # sqrt(1 - 0.6^2) = 0.8
     assert hangs.sd == pytest.approx(0.1 / 0.8)
     np.testing.assert_allclose(hangs.gravity, [9.81, 0.0])
@@ -37,7 +37,7 @@ def test_frequencies_alone_need_no_tags(tmp_path: Path) -> None:
 
 def test_a_base_angle_for_all_stands_in_gravity(tmp_path: Path) -> None:
     gravity = "[gravity]\ndirection_deg = -90.0\nbase_angle_deg = 90.0\nmagnitude_m_s2 = 9.8\n"
-    (one,) = observe(written(tmp_path, BEAM + gravity + ROW)).frequencies
+    (one,) = observe(written(tmp_path, BEAM + gravity + FIRST)).frequencies
     np.testing.assert_allclose(one.gravity, [-9.8, 0.0], atol=1e-12)
 
 
