@@ -46,9 +46,10 @@ class LoadChange:
         return np.clip((time - self.begin) / max(self.end - self.begin, 1e-9), 0.0, 1.0)
 
 
-def load_changes(time: Array, size: Array, loaded: BoolArray) -> list[LoadChange]:
-    """Changes of the load in order, from the tags' displacement (T,) at `time` (T,) [s] and contact (T,)."""
-    largest = float(np.max(size, initial=0.0))
+def load_changes(time: Array, size: Array, loaded: BoolArray, largest: float = 0.0) -> list[LoadChange]:
+    """Changes of the load in order, from the tags' displacement (T,) at `time` (T,) [s] and contact (T,); `largest`: it
+    is at least so large."""
+    largest = float(np.max(size, initial=largest))
     changes: list[LoadChange] = []
     for first, last in runs(loaded) if largest > 0.0 else ():
         part, when = size[first:last], time[first:last]
