@@ -7,7 +7,6 @@ two are alike, the oldest is marginalised (`posterior.py`).
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -142,11 +141,11 @@ class LoadStages:
         away = away[np.isfinite(away)]
         self.displacement = size = float(np.sqrt(2.0 * (away @ away) / max(len(away), 1))) if loaded else 0.0
         self.largest = max(self.largest, size)
-        _, before, was_loaded = self._course[-1] if self._course else (0.0, math.inf, loaded)
-        if loaded != was_loaded or abs(size - before) > _FINE * self.largest:
-            self._course.append((time, size, loaded))
-            times, sizes, on = zip(*self._course, strict=True)
-            self._changes = load_changes(np.array(times), np.array(sizes), np.array(on), self.largest)
+        here = (time, size, loaded)
+        times, sizes, on = zip(*self._course, here, strict=True)
+        self._changes = load_changes(np.array(times), np.array(sizes), np.array(on), self.largest)
+        if len(times) == 1 or loaded != on[-2] or abs(size - sizes[-2]) > _FINE * self.largest:
+            self._course.append(here)
 
     @property
     def falling(self) -> bool:
