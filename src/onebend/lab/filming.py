@@ -17,10 +17,8 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 
-from onebend.beam.continuation import equilibrium
 from onebend.beam.dynamics import Actions, AppliedForce, body
 from onebend.beam.integration import converged
-from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution
 from onebend.beam.stiffness import Profile, Scaled, Uniform
@@ -28,7 +26,6 @@ from onebend.beam.vibration import settle
 from onebend.errors import MechanicsError, RecordingError
 from onebend.lab import rendering, virtual
 from onebend.lab.bench import PushProfile, RealBench, log_of, rest_curvature, smooth, turned
-from onebend.lab.designs import RESOLUTION
 from onebend.lab.rod import RodMotion
 from onebend.progress import Progress, Silent, one_blas_thread, track
 from onebend.recording.bag_topics import BAG_KEYS
@@ -86,7 +83,10 @@ def shapes_at(
         raise MechanicsError("a beam without mass has neither weight nor inertia. Give it a mass per length")
     if not swings:
         force = pushing.force(time)
-        parts = [standing(beam, force[i : i + BATCH], pushing.at_s, gravity) for i in range(0, len(time), BATCH)]
+        parts = [
+            virtual.standing(beam, force[i : i + BATCH], pushing.at_s, PLACES, gravity)
+            for i in range(0, len(time), BATCH)
+        ]
         return np.concatenate(parts)
     moving = body(
         beam, rotary_inertia=rotary_inertia, damping=Scaled(damping, beam.stiffness), resolution=Resolution(ORDER)
@@ -100,24 +100,8 @@ def shapes_at(
     motion = converged(moving, start, until, actions, tolerance=TOLERANCE, step=STEP, at_s=(1 / 3, 2 / 3, 1.0))
     theta = motion.states_at(np.clip(time, 0.0, until))
     parts = [theta[i : i + BATCH] for i in range(0, len(theta), BATCH)]
-    return np.concatenate([joined(moving.xy(PLACES, part), moving.angle(PLACES, part)) for part in parts])
-
-
-def standing(beam: Beam, force: Array, at_s: float, gravity: tuple[float, float]) -> Array:
-    """Exact equilibria under forces (T, 2) N."""
-    loads = push(force, at_s)
-    if any(gravity):
-        loads = loads + weight(np.tile(gravity, (len(force), 1)))
-    solved = equilibrium(beam, loads, resolution=RESOLUTION)
-    if not np.all(solved.converged):
-        largest = float(np.max(np.linalg.norm(force, axis=1)))
-        raise MechanicsError(f"the beam snaps through under {largest:.3g} N or less. Give a smaller force")
-    return joined(solved.xy(PLACES), solved.angle(PLACES))
-
-
-def joined(xy: Array, angle: Array) -> Array:
-    """(..., 3) poses of places (..., 2) and angles (...)."""
-    return np.concatenate([xy, angle[..., None]], axis=-1)
+    poses = [(moving.xy(PLACES, part), moving.angle(PLACES, part)[..., None]) for part in parts]
+    return np.concatenate([np.concatenate(pose, axis=-1) for pose in poses])
 
 
 def between_places(poses: Array, s: Array) -> Array:
@@ -412,7 +396,7 @@ PRESET = "veryfast"
 
 
 def write_video(
-    path: Path, frames: Iterable[tuple[float, rendering.YuvFrame]], size: tuple[int, int], fps: float, crf: int
+    path: Path, frames: Iterable[tuple[float, rendering.Picture]], size: tuple[int, int], fps: float, crf: int
 ) -> None:
     """Write frames (time [s], 8 bit planes) in order. Raises `RecordingError`: encoder missing or failing."""
     try:
@@ -431,7 +415,7 @@ def write_video(
         raise RecordingError(f"{path} cannot be encoded as H.264: {wrong.strerror}") from None
 
 
-def video_frame(picture: rendering.YuvFrame) -> av.VideoFrame:
+def video_frame(picture: rendering.Picture) -> av.VideoFrame:
     rows, columns = picture.y.shape
     stacked = np.concatenate([picture.y.ravel(), picture.u.ravel(), picture.v.ravel()])
     return av.VideoFrame.from_ndarray(stacked.reshape(rows * 3 // 2, columns), format="yuv420p")
@@ -543,7 +527,7 @@ def tag_faces(filming: Filming, poses: Array, z: Array, slope: Array) -> Array:
     bench, count = filming.bench, len(poses)
     effects, s = bench.effects, np.clip(virtual.tag_places(bench), 0.0, 1.0)
     under = between_places(poses, s)
-    flat = virtual.tag_poses_on(bench, under[..., :2], under[..., 2])
+    flat = virtual.tag_poses_on(bench, under)
     heights = np.array(effects.tag_heights) if effects.tag_heights else np.zeros(len(s))
     tilts = np.array(effects.tag_tilts) if effects.tag_tilts else np.zeros((len(s), 2))
     up = np.stack([np.array([np.interp(s, PLACES, one) for one in of]) for of in (z, slope)], axis=-1)
@@ -756,7 +740,7 @@ def stage_of(filming: Filming, cast: MovingScene, view: View, beam: Array, seed:
     return rendering.stage(filming.scene, view, (filming.camera.width, filming.camera.height), still, moving, seed)
 
 
-def pictures(shot: Shot, time: Array, rng: np.random.Generator) -> Iterator[tuple[float, rendering.YuvFrame]]:
+def pictures(shot: Shot, time: Array, rng: np.random.Generator) -> Iterator[tuple[float, rendering.Picture]]:
     for i, now in enumerate(time.tolist()):
         part = slice(3 * i, 3 * i + 3)
         exposure = replace(shot, at_rows=tuple(one.part(part) for one in shot.at_rows))
