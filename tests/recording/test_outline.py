@@ -11,9 +11,9 @@ from scipy.signal import lfilter
 from scipy.spatial import cKDTree
 
 from onebend.errors import ObservationError
-from onebend.recording import outline
+from onebend.recording import flanks, outline
 from onebend.recording.camera import measure_markers, project, to_plane
-from onebend.recording.outline import MEASURED, Planes, Sight, Stations
+from onebend.recording.flanks import MEASURED, Planes, Sight, Stations
 from onebend.records import Array, BoolArray, Markers, OutlineTrack, View
 from tests.recording.filmed import HEIGHT, LENGTH, WIDTH, corners_of, detections, poses, recording, view
 
@@ -133,10 +133,10 @@ def test_a_wall_is_no_part_of_the_top_face() -> None:
 
 def test_an_edge_between_two_levels_is_found_to_a_twentieth_of_a_pixel() -> None:
     for place in (-1.3, -0.4, 0.0, 0.3, 2.2):
-        share = 0.5 + 0.5 * np.tanh((outline._OUT - place) / 0.9)
+        share = 0.5 + 0.5 * np.tanh((flanks.OUT - place) / 0.9)
         colour = np.stack([200.0 - 80.0 * share, 120.0 + 0.0 * share, 130.0 + 0.0 * share], axis=1)[None, None]
-        first = np.full((1, 1), int(np.argmin(np.abs(outline._OUT - place))) - 2)
-        assert float(outline.edge_place(colour.astype(np.float32), first, np.ones(3))[0, 0]) == pytest.approx(
+        first = np.full((1, 1), int(np.argmin(np.abs(flanks.OUT - place))) - 2)
+        assert float(flanks.edge_place(colour.astype(np.float32), first, np.ones(3))[0, 0]) == pytest.approx(
             place, abs=0.05
         )
 
