@@ -487,7 +487,7 @@ def _places(name: str, time: Array, xy: Array, ids: list[int]) -> SwingSignals:
 def measured_frequencies(rec: Recording) -> tuple[MeasuredFrequency, ...]:
     """Undamped, with gravity in the beam's frame."""
     every = tuple(_measured(one, rec) for one in rec.frequencies)
-    for one, other in permutations((one for one in every if one.mode > 0), 2):
+    for one, other in permutations(every, 2):
         alike = one.tip_mass == other.tip_mass and np.allclose(one.gravity, other.gravity)
         if alike and one.mode < other.mode and one.frequency >= other.frequency:
             raise RecordingError(
