@@ -278,3 +278,19 @@ def test_between_the_frames_that_are_read_the_curve_is_not_seen() -> None:
     np.testing.assert_allclose(spread.px[4], (2.0 * of_kept.px[1] + of_kept.px[2]) / 3.0)
     np.testing.assert_allclose(spread.ahead[7], of_kept.ahead[2])
     assert np.array_equal(np.flatnonzero(np.isfinite(spread.sd[:, 0])), kept)
+
+
+def dotted(planes: Planes, bend: float, radius: float) -> Planes:
+    """The picture with black dots of this radius [m] on the body's middle."""
+    middle, _ = line(bend, np.array([0.25, 0.5, 0.75]))
+    away = to_plane(VIEW, np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), axis=-1)) - middle[:, None, None]
+    black = np.linalg.norm(away, axis=-1).min(axis=0) < radius
+    luma, chroma = np.where(black, 20, planes.luma), np.where(black, 128, planes.chroma)
+    return Planes(luma.astype(np.uint8), chroma.astype(np.uint8))
+
+
+def test_dots_on_the_body_do_not_move_its_middle() -> None:
+    pictures = [dotted(painted(b, seed=i), b, 0.003) for i, b in enumerate(BENDS.tolist())]
+    off = errors(traced(pictures), BENDS)
+    assert np.isfinite(off).mean() > 0.95
+    assert float(np.nanmax(np.sqrt(np.nanmean(off**2, axis=0)))) < 0.15
