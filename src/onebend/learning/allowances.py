@@ -33,8 +33,8 @@ Entry = Literal["log k", "force", "place", "load", "clamp", "poses", "section", 
 ANYTHING, POSITIVE = (-np.inf, np.inf), (0.0, np.inf)
 # `Allowance.sizes` of an effect that most benches lack: each factor of two is as probable as any other.
 RARE = tuple(np.geomspace(0.005, 2.0, 17).tolist())
-# The same of an error within a stated tolerance: many a bench is better than what is stated. Below a tenth, nothing that
-# is learned depends on it.
+# The same of an error with a stated tolerance: many benches are better than what is stated. Below a tenth of it, the
+# error changes nothing that is learned.
 TOLERATED = tuple(np.geomspace(0.1, 1.6, 5).tolist())
 
 
