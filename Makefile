@@ -14,6 +14,8 @@ EXTRAS := calibrate ros sklearn studio
 # One BLAS thread: the arrays are small and batched; threads are used where they pay (tag detection).
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
+# Many tests start processes: their modules are compiled once.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help demo test test-all bench docs picture lock clean
 
