@@ -26,6 +26,8 @@ from onebend.results.observations_file import load_observations, save_observatio
 from tests.beam.turned_chain import Cable
 from tests.recording.turned import S, turned_folder, ways
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 PLACES = np.linspace(0.0, 1.0, 41)
 CABLE = Cable(0.5, lambda s: 0.015 * np.exp(0.6 * (0.5 - s)), 0.04, 0.02)
 BEAM = Beam(0.5, Table(tuple(PLACES), tuple(CABLE.k(PLACES))), mass_per_length=Uniform(0.04))

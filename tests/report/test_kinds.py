@@ -23,6 +23,8 @@ from tests import made_up
 from tests.made_up import with_source
 from tests.report.page.test_page import Links
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 WEIGHTS = Path(__file__).parents[2] / "examples" / "hung-weights"
 
 

@@ -26,6 +26,8 @@ from tests.made_up import BEAM, LENGTH
 from tests.recording.pushed import Pushed, force_at, push as pushed
 from tests.recording.tracked import ROD, START, write_log
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 PUSHED = Pushed()
 S = np.linspace(0.0, 1.0, 41)
 NOISE = 3e-5  # m, of a vertex

@@ -24,6 +24,8 @@ from tests.made_up import BEAM, LENGTH, MARKER_S
 from tests.recording.pushed import table
 from tests.recording.tracked import PUSHED, START, track_folder, turned_plane
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 AXES = turned_plane()
 SEEN_FROM = f"seen_from = {AXES[:, 2].tolist()}\n"
 
