@@ -19,7 +19,8 @@ from onebend.beam.loads import push
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Table, UncertainStiffness, Uniform
 from onebend.beam.vibration import vibration
-from onebend.learning.swing import DampingSettings, FilmPart, SwingFit, learn_damping
+from onebend.learning.swing import DampingSettings, SwingFit, learn_damping
+from onebend.learning.swing_frequencies import FilmPart
 from onebend.pipeline import learn
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe
@@ -81,7 +82,7 @@ def main() -> None:
         f"True: loss time {1e3 * tau:.3f} ms, natural frequency {frequency:.4f} Hz, mass "
         f"{1e3 * float(truth.facts['mass']):.1f} g. In brackets one sd. c: k over mass as it swings over the model's.\n"
     )
-    print("| model | loss time [ms] | error | frequency [Hz] | error | c | mass [g] | tags from the motion [mm] |")
+    print("| model | loss time [ms] | error | frequency [Hz] | error | c | mass [g] | tags off the model's mode [mm] |")
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
     for name, fit in rows(seen, run.posterior.beam, run.posterior.stiffness, true):
         print(row(name, fit, tau, frequency, float(truth.facts["mass"])), flush=True)

@@ -76,7 +76,6 @@ SECTIONS: dict[str, str] = {
     "sensed gain": "the-log-shows-another-force-than-the-shape",
     "no validation": "a-recording-cannot-validate-itself",
     "pose": "no-equilibrium-is-near-the-points-of-a-pose",
-    "pose history": "a-pose-is-in-another-equilibrium-than-its-turning-leads-to",
     "no equilibrium": "the-simulated-beam-snaps-or-buckles",
     "beyond what was learned": "the-force-is-larger-than-those-learned-from",
     "no regression": "the-papers-regression-found-no-beam",

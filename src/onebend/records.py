@@ -219,22 +219,9 @@ class MeasuredFrequency:
 
     frequency: float  # Hz, undamped
     sd: float  # Hz
-    mode: int  # 1 is the slowest; 0: not said
+    mode: int  # 1 is the slowest
     gravity: tuple[float, ...]  # (2,) m/s^2 in the beam's frame; zeros where it swings across gravity
     tip_mass: float = 0.0  # kg, fixed to the tip
-
-
-@dataclass(frozen=True)
-class BenchPoses:
-    """The names of static poses, and how the beam came into each; NaN where nobody says it.
-
-    Between two poses loads keep their direction in the room, and change slowly.
-    """
-
-    name: tuple[str, ...]  # (T,)
-    clamp: Array  # (T,) rad, the beam's x axis in the room
-    turned_from: Array  # (T,) rad, `clamp` before the base was turned into the pose
-    order: Array  # (T,) rising from each pose to that which it was led into
 
 
 @dataclass(frozen=True)
@@ -363,7 +350,7 @@ class Observations:
     sd_known: bool = True  # the covariance is what was said or seen; False where it is a guess, to be estimated
     readings: Readings = Readings()
     static: bool = False  # bench poses: no order in time; loads that were weighed, known to `force_sd`, not logged
-    poses: BenchPoses | None = None  # where static: names, and how the beam came into them
+    pose_names: tuple[str, ...] | None = None  # (T,) where static
     # (T, m, 3, n) m, m, rad: what one sd of each of n unknowns of the camera and of the tags' plane does to the poses
     # of all frames together; not in `covariance`. None where there is no camera, or where it is in `covariance`.
     by_camera: Array | None = None

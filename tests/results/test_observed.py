@@ -14,7 +14,6 @@ import pytest
 
 from onebend.errors import ResultsError
 from onebend.records import (
-    BenchPoses,
     ForceNoise,
     FrameMeans,
     KnownLoads,
@@ -113,12 +112,7 @@ def full() -> Observations:
         tool=ToolTrack(np.arange(4.0), rng.random(4), rng.random(4), rng.random((4, 2))),
         readings=Readings("x", 2, 1 / 7),
         static=True,
-        poses=BenchPoses(
-            tuple(f"pose {i}" for i in range(frames)),
-            rng.normal(size=frames),
-            np.where(np.arange(frames) > 2, np.nan, rng.normal(size=frames)),
-            np.arange(frames, dtype=float),
-        ),
+        pose_names=tuple(f"pose {i}" for i in range(frames)),
     )
 
 

@@ -16,8 +16,8 @@ from onebend.cli.screens import show_damping, show_frequencies, show_sensed
 from onebend.files.publish import amend
 from onebend.files.single_file import check_name_free, write_file
 from onebend.learning.sensing.sense import SenseSettings, sense as sense_force
-from onebend.learning.swing import DampingSettings, FilmPart, learn_damping
-from onebend.learning.swing_frequencies import frequencies_of
+from onebend.learning.swing import DampingSettings, learn_damping
+from onebend.learning.swing_frequencies import FilmPart, frequencies_of
 from onebend.options import Only
 from onebend.progress import Progress
 from onebend.recording.folder import check_same_length, read_recording
@@ -97,9 +97,7 @@ def damp(
             check_name_free(output, overwrite=overwrite)
         with common.progress_of(quiet) as progress:
             seen = _observed(stored, recording, observing, progress)
-            fit = learn_damping(
-                stored.beam, seen, uncertain=stored.uncertain, part=part, settings=settings, progress=progress
-            )
+            fit = learn_damping(stored.beam, seen, uncertain=stored.uncertain, part=part, settings=settings)
         if output is not None:
             whole = replace(stored, beam=fit.beam, damping=fit.damping)
             text = model_text(whole, written_by=BY)

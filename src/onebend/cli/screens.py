@@ -231,12 +231,11 @@ def frequency_table(found: FoundFrequencies) -> Table:
 
 
 def frequency_entries(found: FoundFrequencies) -> str:
-    """Lines for recording.toml; the slowest is assumed to be mode 1."""
+    """Lines for recording.toml, as if no mode between them was missed."""
     rows = []
     for i, one in enumerate(one for one in found.modes if not one.multiple_of):
-        mode = "mode = 1\n" if i == 0 else ""
         numbers = f"hz = {one.frequency:.6g}\nsd_hz = {one.sd:.2g}\ndamping_ratio = {one.damping_ratio:.3g}\n"
-        rows.append(f"[[frequencies]]\n{numbers}{mode}base_angle_deg =    # -90 hangs, 90 stands, 0 lies\n")
+        rows.append(f"[[frequencies]]\n{numbers}mode = {i + 1}\nbase_angle_deg =    # -90 hangs, 90 stands, 0 lies\n")
     return "\n".join(rows)
 
 
@@ -285,10 +284,6 @@ def show_sensed(console: Console, found: Sensed, output: Path | None) -> None:
             value = f"{moment.moment[peak]:.3g} ± {1.96 * moment.sd[peak]:.2g} N m (95 %)"
             prior = f"weight of the prior {share:.2g} % (sd {moment.prior_sd:.3g} N m)"
             table.add_row("its moment", f"{value}, {prior}")
-        if found.smoothed is not None:
-            smooth, sd = found.smoothed.force[peak], np.sqrt(np.diag(found.smoothed.covariance[peak]))
-            said = f"{force_words(smooth)}, x ± {1.96 * sd[0]:.2g} N, y ± {1.96 * sd[1]:.2g} N (95 %)"
-            table.add_row("smoothed there", said)
     if found.misfit is not None:
         table.add_row("misfit", f"{found.misfit.ratio:.3g} times the expected sum of squares")
     difference = found.against_log

@@ -48,7 +48,6 @@ from .parameters import (
 from .posterior import Nuisance as Nuisance, Quantities as Quantities
 from .prediction import Prediction as Prediction, Slopes as Slopes, TagMotion as TagMotion, TagRide as TagRide
 from .push_place import PlaceSearch as PlaceSearch
-from .sensing.contacts import Smoothed as Smoothed
 from .sensing.forces import Misfit as Misfit
 from .sensing.sense import (
     ContactMoment as ContactMoment,
@@ -64,11 +63,11 @@ from .static_poses import HeldEnds as HeldEnds, SeenPoses as SeenPoses
 from .swing import (
     Damping as Damping,
     DampingSettings as DampingSettings,
-    FilmPart as FilmPart,
     Swing as Swing,
     SwingFit as SwingFit,
 )
 from .swing_frequencies import (
+    FilmPart as FilmPart,
     FoundFrequencies as FoundFrequencies,
     SwingFrequency as SwingFrequency,
     frequencies_of as frequencies_of,

@@ -1,11 +1,11 @@
-"""When contacts end: by the swing of a beam that was let go, or as its bending goes to zero."""
+"""When a contact ends after which the beam swings freely."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise, product
+from itertools import pairwise
 from math import factorial
 from typing import NamedTuple
 
@@ -38,7 +38,7 @@ class ContactFrames:
     first: int
     last: int
     moves: int  # last frame in which the beam is not at rest again
-    end: Edge | None = None  # None: the bending does not tell it
+    end: Edge | None = None  # None: no swing tells it
 
 
 # Evidence with linear normal unknowns, and mean and sd of the one unknown that is not linear.
@@ -197,63 +197,6 @@ def bending(beam: Beam, o: Observations) -> ModeBending:
     value = (states.theta - states.theta0) @ to_mode
     variance = np.einsum("i,tij,j->t", to_mode, states.covariance, to_mode)
     return ModeBending(o.time, np.where(states.converged, value, np.nan), np.sqrt(variance))
-
-
-# End without a swing: the bending goes to zero as `j + v u + a u^2 / 2 + w(u)`, w white noise integrated twice over the
-# time left u, or as `c u^3 / 3 + w(u)`, integrated four times (a hand with the least jerk).
-
-_FRAMES_BEFORE, _FRAMES_AFTER = 24, 48  # frames before the last one of the contact, and after it
-_LATER = 5  # frames that show a force, and still may be from after the end
-_CLEAR = 10.0  # sds of the noise: a smaller bending tells no end
-_REST_SDS = 3.0  # sds of the noise: of what rest differs by before the contact and after it
-_FINEST = 1e-3  # of the largest bending: what the steps of w leave out
-_STEPS = 24  # of w
-_LAST = (3e-3, 3e-2, 0.3, 1.0)  # w's sd at the first frame
-_ROUGH, _SMOOTH = 2, 4  # times that it is integrated
-# Sizes of jump, first, second and third power, and of both w.
-_SIZES = (
-    *((jump, kink, 2.0, 0.0, last, 0.0) for jump, kink, last in product((0.0, 1.0), (0.0, 1.0), _LAST)),
-    *((0.0, 0.0, 0.0, 3.0, 0.0, last) for last in _LAST[:-1]),
-)
-
-
-def straight(time: Array, value: Array, noise: float, first: int, last: int) -> Edge | None:
-    """End of the contact of frames `first` to `last`; None if the bending shows none. `value` (T,) is zero at rest,
-    with sd `noise`."""
-    early, late = max((first + last + 1) // 2, last - _FRAMES_BEFORE + 1), min(len(time), last + _FRAMES_AFTER + 1)
-    early = min(early, last - RUN + 1)
-    if late <= last + 1 or early < 0 or float(np.max(np.abs(value[early:late]))) < _CLEAR * noise:
-        return None
-    long, size = float(time[last] - time[early]), float(np.max(np.abs(value[early:late])))
-    time, value, noise = time[early:late], value[early:late], max(noise, _FINEST * size)
-    sds = [(0.0, _bending_sds(size, _REST_SDS * noise, *one)) for one in _SIZES]
-
-    def evidence(ends: Array) -> Array:
-        left = np.maximum(ends[:, None] - time, 0.0) / long
-        return evidence_of(_columns(left), value, np.full(len(time), noise), sds)
-
-    low = float(time[max(last - early - _LATER, 0)])
-    mean, sd, _ = scanned(evidence, low, float(time[-1]), (48, 48, 48))
-    return Edge(mean, sd)
-
-
-def _columns(left: Array) -> Array:
-    """(n, F, 4 + 2 x 24 + 1): powers, both w, and the value at rest."""
-    powers = np.stack([(left > 0.0).astype(float), left, left**2 / 2.0, left**3 / 3.0], axis=-1)
-    edges = np.concatenate([[0.0], np.geomspace(0.02, 1.5, _STEPS)])
-    walks = []
-    for times in (_ROUGH, _SMOOTH):
-        reach = np.maximum(left[..., None] - edges, 0.0) ** times / factorial(times)
-        one = factorial(times - 1) * np.sqrt(2.0 * times - 1.0)  # of variance one at u = 1
-        walks.append((reach[..., :-1] - reach[..., 1:]) / np.sqrt(np.diff(edges)) * one)
-    return np.concatenate([powers, *walks, np.ones((*left.shape, 1))], axis=-1)
-
-
-def _bending_sds(
-    size: float, rest: float, jump: float, kink: float, square: float, cube: float, rough: float, smooth: float
-) -> Array:
-    walks = np.repeat([rough, smooth], _STEPS)
-    return np.concatenate([size * np.array([jump, kink, square, cube]), size * walks, [rest]])
 
 
 # Half swings after a contact: alike in time, and none larger than the one before.
@@ -469,9 +412,9 @@ _SLIGHT_SWING = 2.0  # times what a swing is clear from: so little is left of it
 _SOON = 2.0  # half swings after the last clear one in which what is left is of it
 
 
-def ended(seen: ModeBending, runs: list[tuple[int, int]], widened: float) -> list[ContactFrames]:
-    """The contacts of `runs` (first and last frame) without swings, with their ends. `seen`: of all frames; `widened`:
-    factor on the variance of lasting noise."""
+def ended(seen: ModeBending, runs: list[tuple[int, int]]) -> list[ContactFrames]:
+    """The contacts of `runs` (first and last frame) without swings, with the ends that a swing tells. `seen`: of all
+    frames."""
     if not runs:
         return []
     value, noise = _from_rest(seen, runs[0][0])
@@ -480,18 +423,7 @@ def ended(seen: ModeBending, runs: list[tuple[int, int]], widened: float) -> lis
         if out and first <= out[-1].moves:
             continue
         out.append(_contact(seen.time, value, noise, (first, last), runs))
-    after = [*(one.first for one in out[1:]), len(value)]
-    lasting = float(np.sqrt(widened)) * noise
-    return [_straight(seen.time, value, lasting, one, last) for one, last in zip(out, after, strict=True)]
-
-
-def _straight(time: Array, value: Array, noise: float, one: ContactFrames, after: int) -> ContactFrames:
-    """With the end where the bending goes to zero before frame `after`, where no swing tells it."""
-    if one.end is not None:
-        return one
-    known = np.flatnonzero(np.isfinite(value[:after]))
-    first, last = (int(np.searchsorted(known, i)) for i in (one.first, one.last))
-    return replace(one, end=straight(time[known], value[known], noise, first, last))
+    return out
 
 
 def _from_rest(seen: ModeBending, first: int) -> tuple[Array, float]:

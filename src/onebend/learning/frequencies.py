@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations
 
 import numpy as np
 from scipy.optimize import brentq
@@ -25,7 +24,6 @@ from onebend.learning.parameters import NEEDS_MASS, Layout, Spline
 from onebend.records import Array, IntArray, MeasuredFrequency, Observations, PointMass, tags_among
 
 _ORDER, _WIDEST = 6, 0.125  # as the statics of the fit: 1e-7 in the frequencies of the first modes
-MOST_MODES = 8  # beyond, a beam is no slender one any more
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class FrequencyData:
 
 
 def frequency_data(recordings: Sequence[Observations], spline: Spline) -> tuple[FrequencyData, ...]:
-    """The frequencies of the recordings that have some, with known modes. Raises `LearningError` without a mass."""
+    """The frequencies of the recordings that have some. Raises `LearningError` without a mass."""
     return tuple(_prepared(o, i, spline) for i, o in enumerate(recordings) if o.frequencies)
 
 
@@ -232,14 +230,13 @@ def compared_frequencies(predicted: Sequence[PredictedFrequencies]) -> tuple[Com
 
 
 def validated_frequencies(beam: Beam, o: Observations) -> tuple[Notice, ...]:
-    """A note on the natural frequencies of a beam with a mass beside those that were measured with a known mode."""
-    known = tuple(one for one in o.frequencies if one.mode > 0)
+    """A note on the natural frequencies of a beam with a mass beside those that were measured."""
     rows = []
-    for posture in postures_of(known, () if beam.masses else o.stated.masses):
+    for posture in postures_of(o.frequencies, () if beam.masses else o.stated.masses):
         count = int(np.max(posture.modes)) + 1
         own = natural_frequencies(beam, gravity=posture.gravity, points=posture.points, count=count)
         for row, mode in zip(posture.rows.tolist(), posture.modes.tolist(), strict=True):
-            one = known[row]
+            one = o.frequencies[row]
             rows.append(ComparedFrequency(o.source.name, mode + 1, posture, one.frequency, one.sd, float(own[mode])))
     return (Notice("validated frequencies", {"rows": tuple(rows)}),) if rows else ()
 
@@ -292,7 +289,7 @@ def _total(beam: Beam) -> float:
 
 
 def stiffness_level(recordings: Sequence[Observations]) -> float:
-    """N m, median over all frequencies of a beam whose mass is known or guessed, and whose modes are known."""
+    """N m, median over all frequencies of a beam whose mass is known or guessed."""
     each = [uniform_stiffness(o, one, one.mode) for o in recordings for one in o.frequencies]
     return float(np.exp(np.median(np.log(each))))
 
@@ -310,59 +307,3 @@ def swinging_mass(recordings: Sequence[Observations], stiffness: float) -> float
     if too_stiff(low) >= 0.0:
         return _MASSES[0]
     return float(np.exp(brentq(too_stiff, low, high, xtol=1e-3))) if too_stiff(high) > 0.0 else _MASSES[1]
-
-
-# The modes of frequencies that nobody numbered.
-
-_ALIKE = 0.25  # of log k, RMS: as far as the modes of one beam may disagree on the k of a uniform one
-_CLEARER = 0.25  # by which the second best numbering must disagree more
-_SAY = "Write `mode` in each [[frequencies]]: 1 is the slowest"
-
-
-def with_modes(recordings: Sequence[Observations]) -> tuple[Observations, ...]:
-    """The recordings with the mode of every frequency. In each posture modes rise with frequency, and a uniform beam
-    comes nearest to all; the slowest is mode 1. Raises `LearningError` if no numbering is clear."""
-    return tuple(_numbered(o) if any(one.mode == 0 for one in o.frequencies) else o for o in recordings)
-
-
-def _numbered(o: Observations) -> Observations:
-    if len(o.frequencies) < 2:
-        only = o.frequencies[0].frequency
-        raise LearningError(f"{o.source.name}: nothing says which mode {only:.4g} Hz is. {_SAY}")
-    levels = [
-        [np.log(uniform_stiffness(o, one, mode)) for mode in range(1, MOST_MODES + 1)] for one in o.frequencies
-    ]  # (N, modes)
-    middle = sorted({level for each in levels for level in each})
-    tried: dict[tuple[int, ...], float] = {}
-    for level in middle:
-        modes = _nearest(o.frequencies, levels, level)
-        if modes is not None and min(modes) == 1:
-            found = [levels[i][mode - 1] for i, mode in enumerate(modes)]
-            tried[modes] = float(np.std(found))
-    best = sorted(tried.items(), key=lambda pair: pair[1])
-    if not best or best[0][1] > _ALIKE or (len(best) > 1 and best[1][1] < best[0][1] + _CLEARER):
-        said = ", ".join(f"{one.frequency:.4g}" for one in o.frequencies)
-        raise LearningError(f"{o.source.name}: nothing says which modes {said} Hz are. {_SAY}")
-    pairs = zip(o.frequencies, best[0][0], strict=True)
-    return replace(o, frequencies=tuple(replace(one, mode=mode) for one, mode in pairs))
-
-
-def _nearest(
-    frequencies: Sequence[MeasuredFrequency], levels: Sequence[Sequence[float]], level: float
-) -> tuple[int, ...] | None:
-    """Modes that fit a uniform beam of this log k best; in each posture they rise with the frequency."""
-    out = [one.mode for one in frequencies]
-    for posture in {(one.gravity, one.tip_mass) for one in frequencies}:
-        rows = [i for i, one in enumerate(frequencies) if (one.gravity, one.tip_mass) == posture]
-        rows.sort(key=lambda i: frequencies[i].frequency)
-        ways = [
-            modes
-            for modes in combinations(range(1, MOST_MODES + 1), len(rows))
-            if all(frequencies[i].mode in (0, mode) for i, mode in zip(rows, modes, strict=True))
-        ]
-        if not ways:
-            return None
-        away = [sum((levels[i][m - 1] - level) ** 2 for i, m in zip(rows, modes, strict=True)) for modes in ways]
-        for i, mode in zip(rows, ways[int(np.argmin(away))], strict=True):
-            out[i] = mode
-    return tuple(out)

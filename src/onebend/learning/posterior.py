@@ -23,7 +23,7 @@ from onebend.learning.contradictions import Contradiction, contradictions, doubt
 from onebend.learning.criticism import Criticism, criticise
 from onebend.learning.fit_data import FitData, following
 from onebend.learning.frames import check_same_beam, mass_profile, read_alone
-from onebend.learning.frequencies import GROSS, PredictedFrequencies, with_modes, worst_off
+from onebend.learning.frequencies import GROSS, PredictedFrequencies, worst_off
 from onebend.learning.hyperparameters import SPREAD
 from onebend.learning.linear import FitProblem, log_k_map
 from onebend.learning.normal import JointCovariance
@@ -428,7 +428,6 @@ def fit(
     Raises `LearningError` for recordings of different beams, no usable frame, no equilibrium at the start, force logs
     with more error than force, or equations that cannot be solved."""
     check_same_beam(recordings)
-    recordings = with_modes(recordings)
     try:
         some = [recordings[i] for i in optimizer.first_recordings(recordings, settings)]
         begin = start_of(some, None) if start is None else start

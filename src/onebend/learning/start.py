@@ -22,7 +22,7 @@ from onebend.learning.frames import (
     read_alone,
     usable_frames,
 )
-from onebend.learning.frequencies import stiffness_level, swinging_mass, with_modes
+from onebend.learning.frequencies import stiffness_level, swinging_mass
 from onebend.learning.outcome import Learned
 from onebend.learning.parameters import (
     NEEDS_MASS,
@@ -58,7 +58,7 @@ def start_of(recordings: Sequence[Observations], learned: Learned | None) -> Pro
     Raises:
         LearningError: a recording has no usable frame, or weight acts and no mass is given.
     """
-    recordings = with_modes([read_alone(o) for o in recordings])
+    recordings = [read_alone(o) for o in recordings]
     frames = [_some(o) for o in recordings]
     if mass_is_open(recordings):
         names = ", ".join(o.source.name for o in recordings if needs_mass(o))
@@ -93,7 +93,7 @@ def with_mass(recordings: Sequence[Observations]) -> tuple[Observations, ...]:
         return shared_mass(recordings)
     frames = [_some(o, _FEW) for o in recordings]
     if not any(weighs(o) for o in recordings):
-        return shared_mass(recordings, _mass_of_swing(with_modes(recordings), frames))
+        return shared_mass(recordings, _mass_of_swing(recordings, frames))
     pull = max(float(np.max(np.linalg.norm(o.gravity, axis=1))) for o in recordings)
     load = max(_largest_load(o, some) for o, some in zip(recordings, frames, strict=True))
     length, best, least, shape = recordings[0].length, np.nan, np.inf, _shape(recordings)

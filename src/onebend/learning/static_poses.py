@@ -1,14 +1,13 @@
-"""The equilibrium of a static pose. A soft beam has several stable ones; the points show which, or else the stated
-history."""
+"""The equilibrium of a static pose. A soft beam has several stable ones; the points show which."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.beam.branches import lead, stable_equilibria, turn_into, turned_loads
+from onebend.beam.branches import stable_equilibria
 from onebend.beam.clamped_ends import end_pose, hold_near, with_end_wrench
 from onebend.beam.continuation import follow, let_fall, refine
 from onebend.beam.problem import Problem, Resolution
@@ -25,25 +24,20 @@ _FAR = 0.03  # of the length: equilibria of a pose that are apart are farther ap
 _FARTHER = 5.0  # times what is usual of the other poses
 _FARTHEST_TURN = 3.0  # sds of the clamp's direction
 _MOST_LEFT_OUT = 0.4  # of the poses
-_TIE = 9.0  # of chi squared over that of a reading: equilibria that differ by less are as good as each other
 
 
 @dataclass(frozen=True)
 class SeenPoses:
-    """What the F static poses of a recording show, and how the beam came into them."""
+    """What the F static poses of a recording show."""
 
     s: Array  # (m,)
     xy: Array  # (F, m, 2) m, NaN where missing
     angle: Array  # (F, m) rad, NaN where missing
     sd: Array  # (F, m, 3) m, m, rad
-    clamp: Array  # (F,) rad; this and the next as in `records.BenchPoses`
-    turned_from: Array  # (F,) rad
-    order: Array  # (F,)
 
     def take(self, chosen: IntArray | BoolArray) -> SeenPoses:
         """Some of the poses."""
-        parts = (self.xy, self.angle, self.sd, self.clamp, self.turned_from, self.order)
-        return SeenPoses(self.s, *(part[chosen] for part in parts))
+        return SeenPoses(self.s, self.xy[chosen], self.angle[chosen], self.sd[chosen])
 
 
 def seen_poses(o: Observations, frames: BoolArray) -> SeenPoses | None:
@@ -52,16 +46,13 @@ def seen_poses(o: Observations, frames: BoolArray) -> SeenPoses | None:
     plain = o.readings.at == "mark" and o.readings.bare < 0
     if not o.static or not plain or (o.held is not None and bool(np.all(o.held[frames]))):
         return None
-    unknown = np.full(len(o.time), np.nan)
-    told = (unknown, unknown, unknown) if o.poses is None else (o.poses.clamp, o.poses.turned_from, o.poses.order)
     sd = np.sqrt(np.diagonal(o.covariance, axis1=-2, axis2=-1))
     sd[:, ~tags_among(o), 2] = UNKNOWN_ANGLE_SD  # the direction of a curve is no measurement of its own
-    return SeenPoses(o.marker_s, o.xy, o.angle, sd, *told).take(frames)
+    return SeenPoses(o.marker_s, o.xy, o.angle, sd).take(frames)
 
 
-def nearest(problem: Problem, seen: SeenPoses, *, with_history: bool = True) -> Equilibrium:
-    """The stable equilibria (F,) nearest to the points. `with_history`: among equals, that to which the stated history
-    leads."""
+def nearest(problem: Problem, seen: SeenPoses) -> Equilibrium:
+    """The stable equilibria (F,) nearest to the points."""
     q, frame = _every(problem, seen)
     off = _misfit(problem.take(frame), q, seen.take(frame))
     least = np.full(problem.size, np.inf)
@@ -69,11 +60,6 @@ def nearest(problem: Problem, seen: SeenPoses, *, with_history: bool = True) -> 
     at_least = np.flatnonzero(off == least[frame])
     chosen, found = np.zeros(problem.dead_force.shape[:2]), np.isfinite(least)
     chosen[frame[at_least]] = q[at_least]
-    if with_history:
-        shapes, there = led(problem, seen)
-        here = np.flatnonzero(there)
-        as_near = _as_near(_misfit(problem.take(here), shapes[here], seen.take(here)), least[here], seen.take(here))
-        chosen[here[as_near]], found[here[as_near]] = shapes[here[as_near]], True
     return _solved(problem, chosen, found)
 
 
@@ -91,7 +77,7 @@ def stay(problem: Problem, start: Array) -> Equilibrium:
 
 def pose_names(o: Observations, frames: BoolArray) -> tuple[str, ...]:
     """Those of some frames (T,); numbers where nobody named them."""
-    every = [str(i + 1) for i in range(len(frames))] if o.poses is None else o.poses.name
+    every = [str(i + 1) for i in range(len(frames))] if o.pose_names is None else o.pose_names
     return tuple(name for name, wanted in zip(every, frames.tolist(), strict=True) if wanted)
 
 
@@ -115,44 +101,6 @@ def unexplained(rms: Array, length: float, clamp_sd: float = 0.0) -> BoolArray:
     far = _FAR + _FARTHEST_TURN * float(np.nan_to_num(clamp_sd))
     out = rms > max(far * length, _FARTHER * usual)
     return np.asarray(out & (np.sum(out) <= max(_MOST_LEFT_OUT * len(rms), 1.0)))
-
-
-def elsewhere(solved: Equilibrium, seen: SeenPoses) -> tuple[Array, BoolArray]:
-    """(F,) m RMS of the points from the equilibria to which the histories lead, and True where these differ from
-    `solved` and are farther from the points than noise."""
-    problem = solved.problem
-    shapes, there = led(problem, seen)
-    here = np.flatnonzero(there)
-    part, some = problem.take(here), seen.take(here)
-    least = _misfit(part, solved.q[here], some)
-    out, other = np.full(problem.size, np.nan), np.zeros(problem.size, dtype=bool)
-    out[here] = pose_rms(some.xy - _solved(part, shapes[here], np.ones(len(here), dtype=bool)).xy(some.s))
-    other[here] = ~_as_near(_misfit(part, shapes[here], some), least, some)
-    return out, other
-
-
-def led(problem: Problem, seen: SeenPoses) -> tuple[Array, BoolArray]:
-    """Shapes (F, Q) to which the histories that are stated lead, falls on the way included, and True where one does."""
-    q, there = np.zeros(problem.dead_force.shape[:2]), np.zeros(problem.size, dtype=bool)
-    turned = seen.clamp - seen.turned_from
-    some = np.flatnonzero(np.isfinite(turned))
-    if some.size:
-        part = problem.take(some)
-        begin = follow(turned_loads(part, turned[some]), fall="left")
-        shape, well, _ = turn_into(part, begin.q, turned[some])
-        q[some], there[some] = shape, well & begin.converged & begin.stable
-    chain = np.flatnonzero(np.isfinite(seen.order))
-    before = -1
-    for i in chain[np.argsort(seen.order[chain], kind="stable")].tolist():
-        one = problem.take(np.array([i]))
-        if before < 0 or not there[before]:
-            first = follow(one, fall="left")
-            q[i], there[i] = first.q[0], first.converged[0] & first.stable[0]
-        else:
-            shape, well, _ = _led_on(problem, seen, before, i, q[before])
-            q[i], there[i] = shape[0], well[0]
-        before = i
-    return q, there
 
 
 def shown_curvature(xy: Array, angle: Array, s: Array, nodes: Array) -> Array:
@@ -195,26 +143,6 @@ def _every(problem: Problem, seen: SeenPoses) -> tuple[Array, IntArray]:
     return np.concatenate([q, fallen[landed], grown.q[well]]), np.concatenate([frame, long[landed], well])
 
 
-def _led_on(problem: Problem, seen: SeenPoses, a: int, b: int, start: Array) -> tuple[Array, BoolArray, IntArray]:
-    """From the shape (Q,) of pose a to that (1, Q) of pose b, clamp and loads going over evenly."""
-    last, there = problem.take(np.array([a])), problem.take(np.array([b]))
-    nodes, new = np.ravel(last.grid.nodes), np.ravel(there.grid.nodes)
-    if len(nodes) != len(new) or np.any(nodes != new):  # loads at other places: the way need not be exact
-        start = np.interp(new, nodes, start)
-        force = np.stack([np.interp(new, nodes, last.dead_force[0, :, i]) for i in (0, 1)], axis=-1)[None]
-        last = replace(there, dead_force=force, moment=np.interp(new, nodes, last.moment[0])[None])
-    turn = np.nan_to_num(seen.clamp[b] - seen.clamp[a])
-    before = turned_loads(last, np.array([-turn])).dead_force  # those of a, in the frame of b
-
-    def way(_: IntArray, share: Array) -> Problem:
-        f = float(share[0])
-        force = (1.0 - f) * before + f * there.dead_force
-        mixed = replace(there, dead_force=force, moment=(1.0 - f) * last.moment + f * there.moment)
-        return turned_loads(mixed, np.array([(1.0 - f) * turn]))
-
-    return lead(way, start[None])
-
-
 def _misfit(problem: Problem, q: Array, seen: SeenPoses) -> Array:
     """(F,) chi squared of what was measured; angles count without full turns."""
     solved = _solved(problem, q, np.ones(len(q), dtype=bool))
@@ -222,13 +150,6 @@ def _misfit(problem: Problem, q: Array, seen: SeenPoses) -> Array:
     turn = seen.angle - solved.angle(seen.s)
     turn = (turn - 2.0 * np.pi * np.round(turn / (2.0 * np.pi))) / seen.sd[..., 2]
     return np.asarray(np.nansum(place**2, axis=(1, 2)) + np.nansum(turn**2, axis=1))
-
-
-def _as_near(off: Array, least: Array, seen: SeenPoses) -> BoolArray:
-    """(F,) whether chi squared is that of the nearest equilibrium but for noise, of the size that this leaves."""
-    count = np.sum(np.isfinite(seen.xy), axis=(1, 2)) + np.sum(np.isfinite(seen.angle), axis=1)
-    noise = np.maximum(least / np.maximum(count, 1), 1.0)
-    return np.asarray(off <= np.where(np.isfinite(least), least + _TIE * noise, np.inf))
 
 
 def _solved(problem: Problem, q: Array, well: BoolArray) -> Equilibrium:

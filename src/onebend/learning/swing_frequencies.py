@@ -13,13 +13,13 @@ from scipy.optimize import least_squares
 
 from onebend.errors import LearningError
 from onebend.learning.outcome import Notice
-from onebend.learning.swing import FilmPart, swinging_part
+from onebend.options import option
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray
 
 _FEWEST = 30  # samples
 _FAST = 0.2  # of the sampling rate: a faster mode may be one that is faster still
-_NYQUIST = 0.45  # of the sampling rate: nearer to half of it nothing is looked for
+NYQUIST = 0.45  # of the sampling rate: nearer to half of it nothing is looked for
 _CYCLES = 3.0  # of a mode in the record, at least
 _PADDED = 4  # times the record's length, of the Fourier transform
 _AROUND, _OF_ALL = 30, 0.02  # Fourier steps to either side at least, and share of all: the noise of a peak
@@ -31,6 +31,21 @@ _ROUNDS = 3  # of weights by what each signal leaves
 _BLOCK = 4.0  # swings of the slowest mode that are summed over
 _HIGHEST_RATIO = 0.5
 _DEADEST, _VAGUEST = 0.3, 0.03  # decay and sd over the frequency, of what is no mode any more
+_REST = 0.25  # of a record, over which a swing is nearest to its middle
+_CLEAR = 5.0  # sd of the noise that half a swing must exceed
+_UNEVEN, _GROWS = 0.4, 1.2  # by which half swings may differ in time, and grow, as frames are few
+_FEWEST_SEEN, _OFTEN = 12, 0.7  # samples of a signal in which a swing is looked for, and share of the most
+_HALF_SWINGS = 4  # that are a swing
+
+
+@dataclass(frozen=True)
+class FilmPart:
+    """Which frames to take, on the film's clock [s]; None: from the release found in the data, to the end."""
+
+    begin: float | None = option(
+        "--from-s", None, "The beam swings freely from here on in the film; default: found.", metavar="SECONDS"
+    )
+    end: float | None = option("--to-s", None, "And to here in the film; default: to the end.", metavar="SECONDS")
 
 
 @dataclass(frozen=True)
@@ -81,7 +96,8 @@ def frequencies_of(
 ) -> FoundFrequencies:
     """`swing_frequencies` of a part of the record; by default from the release on, if one is seen. Raises the same."""
     _refuse_unordered(time, name)
-    ends = swinging_part(time, signals)
+    free = first_passage(time, signals)
+    ends = float(time[0]) if np.isnan(free) else free, float(time[-1])
     begin, end = (known if asked is None else asked for asked, known in zip((part.begin, part.end), ends, strict=True))
     inside = np.flatnonzero((time >= begin) & (time <= end) & np.isfinite(signals).any(axis=1))
     looked_at = inside[: _MOST // signals.shape[1]]
@@ -147,9 +163,43 @@ def _refuse_unordered(time: Array, name: str) -> None:
         raise LearningError(f"{name}: the times must be known and rise from row to row")
 
 
-def _basis(s: _Signals, modes: list[tuple[float, float]]) -> Array:
+def first_passage(time: Array, signals: Array) -> float:
+    """s, of the first passage through rest of a swing that is regular and dies away; NaN if no signal (N, C) shows
+    one."""
+    found, most = [], int(np.max(np.isfinite(signals).sum(axis=0), initial=0))
+    for column in signals.T:
+        seen = np.isfinite(column)
+        if seen.sum() < max(_FEWEST_SEEN, _OFTEN * most):
+            continue
+        value = column[seen] - np.median(column[seen][-max(int(_REST * seen.sum()), _FEWEST_SEEN) :])
+        rough = float(np.median(np.abs(np.diff(value, n=2)))) / np.sqrt(6.0)
+        found.append(_first_passage(time[seen], value, _CLEAR * rough))
+    return float(np.nanmin(found)) if np.isfinite(found).any() else float("nan")
+
+
+def _first_passage(time: Array, value: Array, least: float) -> float:
+    """s, begin of the longest chain of half swings that are alike in time, do not grow and exceed `least`; NaN if it is
+    short."""
+    change = np.flatnonzero(np.diff(np.sign(value)) != 0.0)
+    share = value[change] / (value[change] - value[change + 1])
+    passage = time[change] + share * (time[change + 1] - time[change])
+    size = np.array([np.max(np.abs(part)) for part in np.split(value, change + 1)[1:-1]])
+    lasts = np.diff(passage)
+    best, first = 0, float("nan")
+    for i in range(len(lasts)):
+        usual, stop = lasts[i], i
+        while stop < len(lasts) and size[stop] > least and abs(lasts[stop] / usual - 1.0) < _UNEVEN:
+            if stop > i and size[stop] > _GROWS * size[stop - 1]:
+                break
+            stop += 1
+            usual = float(np.median(lasts[i:stop]))
+        if stop - i > best:
+            best, first = stop - i, float(passage[i])
+    return first if best >= _HALF_SWINGS else float("nan")
+
+
+def basis_of(t: Array, modes: list[tuple[float, float]]) -> Array:
     """(N, 2 + 2 K): a level, a drift, and the two phases of each mode."""
-    t = s.time
     columns = [np.ones_like(t), t / t[-1] - 0.5]
     for omega, decay in modes:
         fall = np.exp(-decay * t)
@@ -164,7 +214,7 @@ def _left(s: _Signals, modes: list[tuple[float, float]]) -> Array:
 
 def _explained(s: _Signals, modes: list[tuple[float, float]]) -> tuple[Array, Array]:
     """(N, C) what the modes explain, and their sizes (2 + 2 K, C)."""
-    basis, sizes = _basis(s, modes), np.zeros((2 + 2 * len(modes), s.value.shape[1]))
+    basis, sizes = basis_of(s.time, modes), np.zeros((2 + 2 * len(modes), s.value.shape[1]))
     whole = s.known.all(axis=0)
     sizes[:, whole] = np.linalg.lstsq(basis, s.value[:, whole], rcond=None)[0]
     for c in np.flatnonzero(~whole):
@@ -233,7 +283,7 @@ def _highest_peak(s: _Signals, left: Array, known: list[tuple[float, float]]) ->
     omega = step * np.arange(len(power))
     around = median_filter(power, 2 * max(_AROUND, int(_OF_ALL * count)) * _PADDED + 1)
     around = np.maximum(around, 1e-3 * np.median(around))
-    allowed = (omega > _CYCLES * 2.0 * np.pi / s.time[-1]) & (omega < 2.0 * np.pi * _NYQUIST * s.rate)
+    allowed = (omega > _CYCLES * 2.0 * np.pi / s.time[-1]) & (omega < 2.0 * np.pi * NYQUIST * s.rate)
     for other, decay in known:
         allowed &= np.abs(omega - other) > _APART * max(decay, _PADDED * step)
     allowed[1:-1] &= (power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])

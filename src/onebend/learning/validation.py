@@ -88,9 +88,8 @@ def validate(
     measured = from_the_clamp(observations, frames, predicted)
     sensor_rms = np.sqrt(np.mean(by_sensor, axis=0))
     notices: tuple[Notice | Remark, ...] = _notices(stable, converged)
-    seen = static_poses.seen_poses(observations, frames)
-    if seen is not None:  # of static poses, which are one chunk
-        notices += _pose_notices(observations, frames, seen, solved, predicted)
+    if static_poses.seen_poses(observations, frames) is not None:
+        notices += _pose_notices(observations, frames, predicted)
     return Comparison(
         name=observations.source.name,
         frame=observations.frame[frames],
@@ -261,16 +260,12 @@ def _notices(stable: BoolArray, converged: BoolArray) -> tuple[Notice, ...]:
     return (*snaps, *((Notice("buckled", {"frames": buckled}),) if buckled else ()))
 
 
-def _pose_notices(
-    o: Observations, frames: BoolArray, seen: static_poses.SeenPoses, solved: Equilibrium, predicted: Array
-) -> tuple[Notice, ...]:
+def _pose_notices(o: Observations, frames: BoolArray, predicted: Array) -> tuple[Notice, ...]:
     names = static_poses.pose_names(o, frames)
     free = np.ones(int(np.sum(frames)), dtype=bool) if o.held is None else ~o.held[frames]
     rms = static_poses.pose_rms(static_poses.across_curve(o, frames, o.xy[frames] - predicted))
     unlike = static_poses.unexplained(rms, o.length, o.stated.clamp_sd) & free
-    off, other = static_poses.elsewhere(solved, seen)
-    found = (("pose", rms, unlike), ("pose history", off, other & ~unlike & free))
-    return tuple(Notice(code, {"poses": _farthest(names, far, which)}) for code, far, which in found if which.any())
+    return (Notice("pose", {"poses": _farthest(names, rms, unlike)}),) if unlike.any() else ()
 
 
 def _farthest(names: tuple[str, ...], rms: Array, which: BoolArray) -> tuple[tuple[str, float], ...]:

@@ -156,7 +156,7 @@ def read_frequencies(rows: Any, mistakes: Mistakes) -> tuple[FrequencyEntry, ...
             mistakes.add((*place, "mode"), f"mode is {one.mode}; modes 1 to {MOST_MODE} of a slender beam are known.")
         if one.sd >= one.hz:
             mistakes.add((*place, "sd_hz"), f"sd_hz = {one.sd:g} is no smaller than hz = {one.hz:g}. Are they swapped?")
-        if one.mode > 0 and posture in seen:
+        if posture in seen:
             text = f"mode {one.mode} is given twice for one posture and tip mass. Give their mean, with its sd."
             mistakes.add((*place, "mode"), text)
         seen.add(posture)

@@ -292,8 +292,7 @@ class PosesEntry:
     loads: Path = key(
         'loads = "loads.csv"',
         text,
-        "a table with columns pose, s and any of weight_N, mass_kg, fx_N, fy_N, moment_N_m, clamp_deg, "
-        "turned_from_deg, order; one row a load",
+        "a table with columns pose, s and any of weight_N, mass_kg, fx_N, fy_N, moment_N_m, clamp_deg; one row a load",
     )
     axes: Axes = key(
         'axes = "room"',
@@ -363,7 +362,7 @@ class FrequencyEntry:
 
     hz: float = key("hz = 3.21", POSITIVE, "the frequency of the free swing, Hz")
     sd: float = key("sd_hz = 0.01", POSITIVE, "how exactly it is known (one sd), Hz")
-    mode: int = key("mode = 1", whole(least=1), "which of the beam's frequencies it is, 1 the slowest", 0)
+    mode: int = key("mode = 1", whole(least=1), "which of the beam's frequencies it is, 1 the slowest")
     base_angle: float = key(
         "base_angle_deg = -90.0",
         ANGLE,

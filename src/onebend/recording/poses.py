@@ -23,7 +23,6 @@ from onebend.records import (
     POINT_ID,
     UNKNOWN_ANGLE_SD,
     Array,
-    BenchPoses,
     BoolArray,
     IntArray,
     KnownLoads,
@@ -37,9 +36,7 @@ from onebend.text_files import MOST_TOML, read_text
 
 WRENCH = ("fx_N", "fy_N", "moment_N_m")  # what may be unknown, all three at once
 AMOUNTS = ("weight_N", "mass_kg", *WRENCH)
-CAME_BY = ("turned_from_deg", "order")  # how the beam came into the pose
 LARGEST = 1e6  # N, N m or kg: no beam that is bent by hand or by weights bears more
-MOST_TURNED = 720.0  # degrees: two turns are more than any beam needs to come back to itself
 
 
 @dataclass(frozen=True)
@@ -53,18 +50,11 @@ class PoseLoads:
     push_s: Array  # (P,) where it acts; the tip where there is none
     others: KnownLoads | None  # further forces, and moments
     held: BoolArray  # (P,) the end s = 1 is held, nobody knows with what force and moment
-    turned_from: Array  # (P,) rad, `clamp` before the base was turned into the pose; NaN where nothing says it
-    order: Array  # (P,) in which the poses were come to, one from another; NaN where nothing says it
-
-    @property
-    def poses(self) -> BenchPoses:
-        """The poses' names, and how the beam came into each."""
-        return BenchPoses(self.names, self.clamp, self.turned_from, self.order)
 
 
 def read_loads(path: Path, rec: Recording, axes: Axes) -> PoseLoads:
     """The loads of every pose that the table names; a row without a load names a pose of the bare beam."""
-    columns = ("s", "clamp_deg", *AMOUNTS, *CAME_BY)
+    columns = ("s", "clamp_deg", *AMOUNTS)
     table = read_columns(path, (), columns, labels=("pose",), kind="table of loads", unknown=WRENCH, strict=True)
     held_rows = _held(table)
     amounts = {name: np.where(held_rows, np.nan, table.get(name)) for name in AMOUNTS}
@@ -103,8 +93,7 @@ def read_loads(path: Path, rec: Recording, axes: Axes) -> PoseLoads:
         gravity = rec.gravity.magnitude * np.stack([np.cos(fall), np.sin(fall)], axis=1)
     first, push_s, others = _shared(pose, len(names), force, moment, s)
     held = np.array([bool(np.any(held_rows[pose == i])) for i in range(len(names))])
-    turned_from, order = _history(table, pose, clamp, held)
-    return PoseLoads(names, clamp, gravity, first, push_s, others, held, turned_from, order)
+    return PoseLoads(names, clamp, gravity, first, push_s, others, held)
 
 
 def turned(vectors: Array, clamp: Array) -> Array:
@@ -143,23 +132,6 @@ def _one_each(table: Columns, column: str, pose: np.ndarray, count: int) -> Arra
             table.refuse((pose == i) & (np.ptp(stated) > 0.0), f"{column} differs within the pose. Give one.")
             out[i] = stated[0]
     return out
-
-
-def _history(table: Columns, pose: np.ndarray, clamp: Array, held: BoolArray) -> tuple[Array, Array]:
-    """(P,) rad and (P,): whence the base was turned into each pose, and in which order the poses were come to."""
-    turned_from, order = (_one_each(table, column, pose, len(clamp)) for column in CAME_BY)
-    far = np.abs(np.nan_to_num(turned_from)) > MOST_TURNED
-    text = f"turned_from_deg is beyond {MOST_TURNED:g} degrees. Give the angle that it was turned from."
-    table.refuse(far[pose], text)
-    turned, ordered = np.isfinite(turned_from)[pose], np.isfinite(order)[pose]
-    table.refuse(turned & ordered, "both turned_from_deg and order: how the beam came into a pose is said once.")
-    text = "how a beam came into a pose says nothing where an unknown load holds its end."
-    table.refuse((turned | ordered) & held[pose], text)
-    text = "turned_from_deg needs the clamp's angle in the pose, too. Give clamp_deg, or base_angle_deg in [gravity]."
-    table.refuse(turned & ~np.isfinite(clamp)[pose], text)
-    known, count = np.unique(order[np.isfinite(order)], return_counts=True)
-    table.refuse(np.isin(order[pose], known[count > 1]), "order is the same in two poses. Number them 1, 2, 3...")
-    return np.radians(turned_from), order
 
 
 def _shared(
@@ -382,7 +354,7 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
         sd_known=points.sd_known,
         known_loads=loads.others,
         held=loads.held if np.any(loads.held) else None,
-        poses=loads.poses,
+        pose_names=loads.names,
         traced=points.traced,
     )
 

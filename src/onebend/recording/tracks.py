@@ -11,12 +11,20 @@ from pathlib import Path
 import numpy as np
 
 from onebend.errors import ObservationError, RecordingError
-from onebend.recording.camera import MOVED, RUNNING, lengths_apart, order_hint, rotated, running_median, unwrap
+from onebend.recording.camera import MOVED, RUNNING, lengths_apart, order_hint, rotated, unwrap
 from onebend.recording.curves import curve_rows, points_on, stated_sd, vertices_of
 from onebend.recording.entries import FrequencyEntry, GravityEntry, Recording
 from onebend.recording.force import ContactSettings, find_contact
 from onebend.recording.outline import PLACES, POINTS
-from onebend.recording.signals import LATEST, MAD_TO_SD, MOST_FRAMES, check_span, copies_in_motion, from_clamp
+from onebend.recording.signals import (
+    LATEST,
+    MAD_TO_SD,
+    MOST_FRAMES,
+    check_span,
+    copies_in_motion,
+    from_clamp,
+    running_median,
+)
 from onebend.recording.stated import stated_in
 from onebend.recording.tables import Columns, read_columns, read_every_column
 from onebend.records import (
@@ -479,7 +487,7 @@ def _places(name: str, time: Array, xy: Array, ids: list[int]) -> SwingSignals:
 def measured_frequencies(rec: Recording) -> tuple[MeasuredFrequency, ...]:
     """Undamped, with gravity in the beam's frame."""
     every = tuple(_measured(one, rec) for one in rec.frequencies)
-    for one, other in permutations((one for one in every if one.mode > 0), 2):
+    for one, other in permutations(every, 2):
         alike = one.tip_mass == other.tip_mass and np.allclose(one.gravity, other.gravity)
         if alike and one.mode < other.mode and one.frequency >= other.frequency:
             raise RecordingError(

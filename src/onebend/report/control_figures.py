@@ -280,9 +280,6 @@ def _component(axes: Axes, found: Sensed, c: int, name: str, colour: str) -> Non
             found.time, 0.0, 1.0, where=weak, transform=across, label=shaded, color=FAINT, alpha=0.7, lw=0.0
         )
     _band(axes, found.time, middle, sd, colour, label="from the shape")
-    if found.smoothed is not None:
-        smooth, spread = found.smoothed.force[:, c], np.sqrt(found.smoothed.covariance[:, c, c])
-        _band(axes, found.time, smooth, spread, ORANGE, 0.35, lw=1.0, label="smoothed")
     axes.plot(found.time, found.logged[:, c], "--", color=INK, lw=1.0, label="log")
     axes.set_ylabel(f"force along {name} [N]")
     size = np.linalg.norm(found.force[found.touched], axis=1)

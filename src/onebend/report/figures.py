@@ -653,8 +653,8 @@ MOST_CURVES = 20  # of a film that are drawn
 def _photos(found: Overview) -> Figure:
     """The first pictures, each about the body's curve in it."""
     assert found.observations is not None
-    assert found.observations.poses is not None
-    shown = list(zip(found.observations.poses.name, found.curves, strict=True))[:MOST_PHOTOS]
+    assert found.observations.pose_names is not None
+    shown = list(zip(found.observations.pose_names, found.curves, strict=True))[:MOST_PHOTOS]
     figure, axes = blank(4.6, columns=len(shown))
     for one, (name, curve) in zip(axes, shown, strict=True):
         picture = read_photo(found.recording, name)
@@ -714,8 +714,8 @@ def _tool(axes: Axes, preview: Preview, view: View, s: Array, points: Array) -> 
 def _plane(axes: Axes, found: Overview) -> None:
     assert found.observations is not None
     o = found.observations
-    if o.poses is not None and len(o.time) <= MOST_NAMED_POSES:
-        _poses(axes, o, o.poses.name)
+    if o.pose_names is not None and len(o.time) <= MOST_NAMED_POSES:
+        _poses(axes, o, o.pose_names)
     else:
         tags = tags_among(o)
         for i in np.flatnonzero(tags).tolist():

@@ -69,10 +69,6 @@ def sense_summary(model: str, found: Sensed, *, written_by: str) -> dict[str, An
             "peak_sd_Nm": None if peak is None else found.moment.sd[peak],
             "peak_prior_share": None if peak is None else found.moment.prior_share[peak],
         },
-        "smoothed": None if found.smoothed is None else {
-            "memory_s": found.smoothed.memory,
-            "noise_widened": found.smoothed.widened,
-        },
         "sensor": None if found.sensor is None else _sensor(found.sensor),
         "remarks": [{"level": one.level, "text": one.text} for one in worded(found.remarks)],
     }  # fmt: skip
@@ -112,8 +108,6 @@ def force_columns(found: Sensed) -> dict[str, Array]:
         "touched": found.touched,
         "chi2": found.chi2,
     }
-    if found.smoothed is not None:
-        out |= _forces("smooth_", found.smoothed.force, found.smoothed.covariance)
     if (moment := found.moment) is not None:
         out |= {"moment_Nm": moment.moment, "moment_sd_Nm": moment.sd, "moment_prior_share": moment.prior_share}
         out |= {f"f{axis}_moment_covariance_N2m": moment.with_force[:, i] for i, axis in enumerate("xy")}

@@ -16,7 +16,6 @@ from onebend.learning.frequencies import (
     postures_of,
     predicted_frequencies,
     validated_frequencies,
-    with_modes,
 )
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.parameters import Priors, Spline, make_layout
@@ -78,22 +77,6 @@ def test_a_beam_that_its_weight_makes_buckle_has_no_frequency() -> None:
     x = np.zeros(layout.size)
     x[:12] = np.log(0.008)  # m g L / k = 9.2, more than 7.84
     assert np.isnan(predicted_frequencies(data, layout, x).log).tolist() == [False, False, False, True]
-
-
-def test_modes_are_numbered_as_the_frequencies_lie_to_each_other() -> None:
-    open_rows = tuple(replace(one, mode=0) for one in FREQUENCIES)
-    (numbered,) = with_modes([seen("even", open_rows)])
-    assert [one.mode for one in numbered.frequencies] == [1, 2, 1, 1]
-    with pytest.raises(LearningError, match=r"Write `mode`"):
-        with_modes([seen("even", open_rows[:1])])
-    with pytest.raises(LearningError, match=r"which modes 9\.2, 17 Hz"):
-        with_modes([seen("even", (open_rows[0], replace(open_rows[1], frequency=17.0)))])
-
-
-def test_a_ratio_that_no_pair_of_modes_with_the_first_has_is_not_numbered() -> None:
-    rows = tuple(replace(one, mode=0, frequency=hz) for one, hz in zip(FREQUENCIES[:2], (9.28, 40.2), strict=True))
-    with pytest.raises(LearningError, match="which modes"):
-        with_modes([seen("even", rows)])
 
 
 @pytest.fixture(scope="module")

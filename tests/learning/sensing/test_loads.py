@@ -114,7 +114,7 @@ def test_regions_of_force_and_moment_hold_them() -> None:
 
 def test_files_screen_and_picture_of_a_moment(tmp_path: Path) -> None:
     o, axes = drawn(0, push(forces(4, most=0.2), 0.8) + twist(moments(4), 0.8), at_s=0.8)
-    found = sense(BEAM, o, stiffness=BAND, settings=replace(MOMENT, smooth=True))
+    found = sense(BEAM, o, stiffness=BAND, settings=MOMENT)
     assert axes.shape == (2, 2)
     moment = found.moment
     assert moment is not None
@@ -123,10 +123,8 @@ def test_files_screen_and_picture_of_a_moment(tmp_path: Path) -> None:
     write_forces(tmp_path, found)
     assert not draw({"force": lambda: sensing(found)}).failed
     rows = list(csv.DictReader((tmp_path / "force.csv").read_text(encoding="utf-8").splitlines()))
-    assert list(rows[0])[-10:] == [
-        *("smooth_fx_N", "smooth_fy_N", "smooth_fx_sd_N", "smooth_fy_sd_N", "smooth_fx_fy_covariance_N2"),
-        *("moment_Nm", "moment_sd_Nm", "moment_prior_share", "fx_moment_covariance_N2m", "fy_moment_covariance_N2m"),
-    ]
+    moments_of = "moment_Nm,moment_sd_Nm,moment_prior_share,fx_moment_covariance_N2m,fy_moment_covariance_N2m"
+    assert ",".join(list(rows[0])[-5:]) == moments_of
     np.testing.assert_allclose([float(row["moment_Nm"]) for row in rows], moment.moment, rtol=1e-6)
     stream = io.StringIO()
     show_sensed(Console(file=stream, width=120), found, tmp_path)

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from onebend.errors import LearningError
-from onebend.learning.swing import FilmPart
-from onebend.learning.swing_frequencies import frequencies_of, swing_frequencies
+from onebend.learning.swing_frequencies import FilmPart, frequencies_of, swing_frequencies
 from onebend.records import Array
 from onebend.report.sentences import worded
 

@@ -14,6 +14,7 @@ from onebend.recording.stated import stated_in
 
 BEAM = 'format = 1\n[beam]\nlength_m = 0.3\nmass_kg = 0.07\nmass_sd_kg = 0.0007\nrest = "straight"\n'
 ROW = "[[frequencies]]\nhz = 9.0\nsd_hz = 0.1\n"
+FIRST = ROW + "mode = 1\n"
 
 
 def written(folder: Path, text: str) -> Path:
@@ -22,10 +23,10 @@ def written(folder: Path, text: str) -> Path:
 
 
 def test_frequencies_alone_need_no_tags(tmp_path: Path) -> None:
-    rows = f"{ROW}mode = 2\nbase_angle_deg = -90\ntip_mass_kg = 0.01\ndamping_ratio = 0.6\n{ROW}"
+    rows = f"{ROW}mode = 2\nbase_angle_deg = -90\ntip_mass_kg = 0.01\ndamping_ratio = 0.6\n{FIRST}"
     seen = observe(written(tmp_path, BEAM + rows))
     hangs, across = seen.frequencies
-    assert (hangs.mode, hangs.tip_mass, across.mode) == (2, 0.01, 0)
+    assert (hangs.mode, hangs.tip_mass, across.mode) == (2, 0.01, 1)
     assert hangs.frequency == pytest.approx(9.0 / 0.8)  # sqrt(1 - 0.6^2) = 0.8
     assert hangs.sd == pytest.approx(0.1 / 0.8)
     np.testing.assert_allclose(hangs.gravity, [9.81, 0.0])
@@ -36,7 +37,7 @@ def test_frequencies_alone_need_no_tags(tmp_path: Path) -> None:
 
 def test_a_base_angle_for_all_stands_in_gravity(tmp_path: Path) -> None:
     gravity = "[gravity]\ndirection_deg = -90.0\nbase_angle_deg = 90.0\nmagnitude_m_s2 = 9.8\n"
-    (one,) = observe(written(tmp_path, BEAM + gravity + ROW)).frequencies
+    (one,) = observe(written(tmp_path, BEAM + gravity + FIRST)).frequencies
     np.testing.assert_allclose(one.gravity, [-9.8, 0.0], atol=1e-12)
 
 
@@ -45,12 +46,12 @@ def test_a_base_angle_for_all_stands_in_gravity(tmp_path: Path) -> None:
     [
         ("[[frequencies]]\nhz = 9.0\n", r":7: .*lacks sd_hz"),
         ("[[frequencies]]\nhz = -9.0\nsd_hz = 0.1\n", r":8: .*hz .*above 0"),
-        ("[[frequencies]]\nhz = 0.1\nsd_hz = 9.0\n", r":9: .*swapped"),
+        ("[[frequencies]]\nhz = 0.1\nsd_hz = 9.0\nmode = 1\n", r":9: .*swapped"),
         (ROW + "mode = 9\n", r":10: .*modes 1 to 8"),
         (ROW + "mode = 1\n" + ROW + "mode = 1\n", r":14: mode 1 is given twice"),
-        (ROW + "base_angle = 3\n", r":10: .*did you mean|Did you mean"),
+        (FIRST + "base_angle = 3\n", r":11: .*did you mean|Did you mean"),
         ("[frequencies]\nhz = 9.0\nsd_hz = 0.1\n", r":7: .*\[\[frequencies\]\]"),
-        (ROW + "[tags]\nsize_m = 0.01\n", r":10: \[tags\] goes with a film"),
+        (FIRST + "[tags]\nsize_m = 0.01\n", r":11: \[tags\] goes with a film"),
     ],
 )
 def test_what_is_wrong_is_told_with_its_line(tmp_path: Path, rows: str, says: str) -> None:

@@ -279,29 +279,9 @@ class FrameForces:
     weigh: Array  # (F, 2, 2) 1/N
     told: Array  # (F, 2)
     common: Array  # (F, 2, r)
-    widened: float  # of the variance of the frames' own noise, for its memory
 
     def take(self, rows: IntArray | slice) -> FrameForces:
-        return FrameForces(self.time[rows], self.weigh[rows], self.told[rows], self.common[rows], self.widened)
-
-
-def estimated(time: Array, found: Estimates, widened: float, prior_sd: float) -> FrameForces:
-    """What `found` says, each frame's whole region (with what all share) taken for its noise, without the prior.
-
-    Along an axis with posterior variance `v` and mean `a` the information is `1/v - 1/prior_sd^2`, its vector `a / v`.
-    """
-    known: BoolArray = np.asarray(np.isfinite(found.force).all(axis=1))
-    nothing = np.where(known[:, None, None], 0.0, prior_sd**2 * np.eye(2))
-    whole = np.where(known[:, None, None], found.covariance[:, :2, :2], nothing)
-    common = np.where(known[:, None, None], found.common[:, :2], 0.0)
-    whole = whole + (widened - 1.0) * np.where(known[:, None, None], whole - common @ np.swapaxes(common, 1, 2), 0.0)
-    values, ways = np.linalg.eigh(whole)
-    size = np.sqrt(np.maximum(1.0 / values - prior_sd**-2, 0.0))
-    size = np.where(prior_sd * size > _TOLD, size, 0.0)
-    across = np.swapaxes(ways, 1, 2)
-    scale = np.divide(1.0, values * size, out=np.zeros_like(size), where=size > 0.0)[..., None] * across
-    told = apply(scale, np.nan_to_num(found.force[:, :2]))
-    return FrameForces(time, size[..., None] * across, told, scale @ common, widened)
+        return FrameForces(self.time[rows], self.weigh[rows], self.told[rows], self.common[rows])
 
 
 @dataclass(frozen=True)
@@ -330,7 +310,7 @@ def read(
     count, ways, time = len(frames), bench.root.shape[1], bench.observations.time[frames]
     weigh, told, common = np.zeros((count, 2, 2)), np.zeros((count, 2)), np.zeros((count, 2, ways))
     if not parts:
-        return FrameForces(time, weigh, told, common, 1.0)
+        return FrameForces(time, weigh, told, common)
     one = _Linear(*(np.concatenate(each) for each in zip(*(vars(part).values() for part in parts), strict=True)))
     one = _without_other(one)
     side, size, _ = np.linalg.svd(one.by_force, full_matrices=False)
@@ -341,7 +321,7 @@ def read(
     weigh[known] = side @ one.by_force
     told[known] = apply(side, one.residual) + apply(weigh[known], load[known, :2])
     common[known] = side @ one.by_shared
-    return FrameForces(time, weigh, told, common, widened)
+    return FrameForces(time, weigh, told, common)
 
 
 def _linear(bench: Bench, frames: IntArray, load: Array, place: Array, prior_sd: Array, seek_place: bool) -> _Linear:

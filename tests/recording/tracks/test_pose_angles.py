@@ -1,4 +1,4 @@
-"""What a table of loads says of how the beam came into its poses, and where the clamp's angle may stand."""
+"""Where the clamp's angle of a pose may stand, and its full turns."""
 
 from __future__ import annotations
 
@@ -43,38 +43,6 @@ def test_a_film_still_needs_the_angle(tmp_path: Path) -> None:
     (folder / "recording.toml").write_text(film)
     with pytest.raises(RecordingError, match="needs either base_angle_deg or base_angle_file"):
         observe(folder)
-
-
-def test_the_way_into_a_pose_is_read(tmp_path: Path) -> None:
-    loads = "pose,s,mass_kg,clamp_deg,turned_from_deg,order\n0,,,10,,1\n1,1,0.01,20,,2\n1,0.5,0.01,,,\n2,,,150,-20,\n"
-    shown = np.stack([STRAIGHT] * 3)
-    folder = pose_folder(tmp_path, loads=loads, shown=shown, beam="mass_kg = 0.03\n", gravity=PLAIN, poses="")
-    poses = observe(folder).poses
-    assert poses is not None
-    assert poses.name == ("0", "1", "2")
-    np.testing.assert_allclose(poses.clamp, np.radians([10.0, 20.0, 150.0]))
-    np.testing.assert_allclose(poses.turned_from, [np.nan, np.nan, np.radians(-20.0)])
-    np.testing.assert_allclose(poses.order, [1.0, 2.0, np.nan])
-
-
-@pytest.mark.parametrize(
-    ("loads", "words"),
-    [
-        ("pose,s,clamp_deg,turned_from_deg,order\n0,,0,10,1\n", "line 2: both turned_from_deg and order"),
-        ("pose,s,clamp_deg,order\n0,,0,1\n1,,0,1\n", "line 2: order is the same in two poses"),
-        ("pose,s,clamp_deg,order\n0,1,0,1\n0,0.5,0,2\n", "line 2: order differs within the pose"),
-        ("pose,s,turned_from_deg\n0,,10\n", "line 2: turned_from_deg needs the clamp's angle"),
-    ],
-)
-def test_a_way_that_makes_no_sense_is_refused(tmp_path: Path, loads: str, words: str) -> None:
-    with pytest.raises(RecordingError, match=words):
-        read(tmp_path, loads, "" if "clamp_deg" not in loads else PLAIN)
-
-
-def test_no_way_is_said_of_a_held_end(tmp_path: Path) -> None:
-    held = "pose,s,fx_N,fy_N,moment_N_m,clamp_deg,turned_from_deg\n0,1,unknown,unknown,unknown,0,10\n"
-    with pytest.raises(RecordingError, match="holds its end"):
-        read(tmp_path, held)
 
 
 def test_an_angle_that_is_read_without_full_turns_gets_them_from_the_points(tmp_path: Path) -> None:
