@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from onebend.beam.continuation import follow
 from onebend.beam.model import Beam
