@@ -108,10 +108,14 @@ def test_covariance_of_averages_is_that_of_fine_samples() -> None:
 
 def textbook(made: Observations, settings: OnlineSettings, at_rest: Array, v: Array) -> Array:
     """-2 log posterior as a sum of squares, written out anew: v holds all parameters, then the force errors."""
-    o, noise, level = made, settings.force_noise, 0.05 * float(np.max(np.linalg.norm(made.force[made.loaded], axis=1)))
+    o, noise, level = (
+        made,
+        settings.force.coloured,
+        0.05 * float(np.max(np.linalg.norm(made.force[made.loaded], axis=1))),
+    )
     count, spline, t = len(o.time), Spline(settings.functions), made.time - made.time[0]
     slow = max(level, noise) ** 2 + (0.3 * noise) ** 2 * np.minimum(t[:, None], t)
-    fast = noise**2 * np.exp(-np.abs(t[:, None] - t) / settings.force_memory) + noise**2 * np.eye(count)
+    fast = noise**2 * np.exp(-np.abs(t[:, None] - t) / settings.force.tau) + noise**2 * np.eye(count)
     half = np.linalg.inv(np.linalg.cholesky(slow + fast))
     smoothness, p = np.linalg.cholesky(spline.precision(settings.roughness, settings.steps)).T, spline.count
     along, across, turn, clamp, origin = v[p : p + 3], v[p + 3 : p + 6], v[p + 6 : p + 9], v[p + 9], v[p + 10 : p + 12]
