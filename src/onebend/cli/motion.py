@@ -16,8 +16,7 @@ from onebend.cli.screens import show_damping, show_frequencies, show_sensed
 from onebend.files.publish import amend
 from onebend.files.single_file import check_name_free, write_file
 from onebend.learning.sensing.sense import SenseSettings, sense as sense_force
-from onebend.learning.swing import DampingSettings, learn_damping
-from onebend.learning.swing_frequencies import FilmPart, frequencies_of
+from onebend.learning.swing import DampingSettings, FilmPart, frequencies_of, learn_damping
 from onebend.options import Only
 from onebend.progress import Progress
 from onebend.recording.folder import check_same_length, read_recording

@@ -19,8 +19,7 @@ from onebend.cli.common import facts_table, force_words, listing, remarks_list, 
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Nuisance, Posterior
 from onebend.learning.run import Run
-from onebend.learning.swing import Damping, SwingFit
-from onebend.learning.swing_frequencies import FoundFrequencies
+from onebend.learning.swing import Damping, FoundFrequencies, SwingFit
 from onebend.learning.verdict import fitted_rms
 from onebend.records import Array, BoolArray, Observations
 from onebend.report import confidence, wording

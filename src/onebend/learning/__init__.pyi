@@ -63,12 +63,10 @@ from .static_poses import HeldEnds as HeldEnds, SeenPoses as SeenPoses
 from .swing import (
     Damping as Damping,
     DampingSettings as DampingSettings,
-    Swing as Swing,
-    SwingFit as SwingFit,
-)
-from .swing_frequencies import (
     FilmPart as FilmPart,
     FoundFrequencies as FoundFrequencies,
+    Swing as Swing,
+    SwingFit as SwingFit,
     SwingFrequency as SwingFrequency,
     frequencies_of as frequencies_of,
 )

@@ -12,13 +12,20 @@ import numpy as np
 
 from onebend.errors import ObservationError, RecordingError
 from onebend.recording.camera import MOVED, RUNNING, lengths_apart, order_hint, rotated, running_median, unwrap
-from onebend.recording.curves import curve_rows, points_on, stated_sd, vertices_of
 from onebend.recording.entries import FrequencyEntry, GravityEntry, Recording
 from onebend.recording.force import ContactSettings, find_contact
 from onebend.recording.outline import PLACES, POINTS
 from onebend.recording.signals import LATEST, MAD_TO_SD, MOST_FRAMES, check_span, copies_in_motion, from_clamp
 from onebend.recording.stated import stated_in
-from onebend.recording.tables import Columns, read_columns, read_every_column
+from onebend.recording.tables import (
+    Columns,
+    curve_rows,
+    points_on,
+    read_columns,
+    read_every_column,
+    stated_sd,
+    vertices_of,
+)
 from onebend.records import (
     POINT_ID,
     UNKNOWN_ANGLE_SD,

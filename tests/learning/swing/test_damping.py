@@ -15,8 +15,7 @@ from onebend.beam.stiffness import Scaled, UncertainStiffness, Uniform
 from onebend.errors import LearningError, ResultsError
 from onebend.export.export import export
 from onebend.export.sample import rod_sample
-from onebend.learning.swing import Damping, DampingSettings, SwingFit, find_swing, learn_damping
-from onebend.learning.swing_frequencies import FilmPart
+from onebend.learning.swing import Damping, DampingSettings, FilmPart, SwingFit, find_swing, learn_damping
 from onebend.records import Observations
 from onebend.report.sentences import worded
 from onebend.results.model import StoredModel, model_text, read_model
