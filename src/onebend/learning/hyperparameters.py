@@ -55,9 +55,9 @@ from onebend.records import Array, IntArray
 
 # Priors of single parameters that are not normal, as normal ones with the same effect (expectation propagation).
 #
-# A parameter of one sd `d` may have bounds: nothing acts beyond the end of the beam, a tag does not soften it. It may be
-# sparse: of an effect that many benches lack, the size is unknown. Its prior is then a mixture of normal densities of
-# several `sizes`, equally probable, with mass near zero.
+# A parameter of one sd `d` may have bounds: nothing acts beyond the end of the beam, a tag does not soften it. It may
+# be sparse: of an effect that many benches lack, the size is unknown. Its prior is then a mixture of normal densities
+# of several `sizes`, equally probable, with mass near zero.
 #
 # The site of a parameter is the normal prior under which the linearised model has the mean and variance that the true
 # prior gives (Minka 2001; Rasmussen and Williams, Gaussian Processes for Machine Learning, 3.6).
