@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
-from math import factorial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +16,7 @@ from onebend.beam.model import Beam
 from onebend.beam.stiffness import Uniform
 from onebend.beam.vibration import settle, vibration_of
 from onebend.learning.paper import solve_states
-from onebend.records import Array, BoolArray, IntArray, Observations
+from onebend.records import Array, IntArray, Observations
 
 RUN = 3  # frames in a row that show a force, before it is a contact; fewer without one do not end it
 
@@ -41,30 +39,7 @@ class ContactFrames:
     end: Edge | None = None  # None: no swing tells it
 
 
-# Evidence with linear normal unknowns, and mean and sd of the one unknown that is not linear.
-
 _LIKELY = 12.0  # of the log evidence below the best: farther down it is not
-
-
-def evidence_of(basis: Array, value: Array, noise: Array, sizes: list[tuple[float, Array]]) -> Array:
-    """(n,) log evidence, up to a constant, that `value` (F,) with white `noise` (F,) is a sum of `basis` (n, F, d).
-    `sizes`: log prior and sds (d,) of the coefficients of each way."""
-    basis = basis / noise[:, None]
-    normal = np.swapaxes(basis, 1, 2) @ basis
-    right = np.swapaxes(basis, 1, 2) @ (value / noise)
-    every = np.stack([before + _at_sizes(normal, right, sds) for before, sds in sizes])
-    best = np.max(every, axis=0)
-    return np.asarray(best + np.log(np.sum(np.exp(every - best), axis=0)))
-
-
-def _at_sizes(normal: Array, right: Array, sds: Array) -> Array:
-    """(n,) from normal equations (n, d, d) and (n, d)."""
-    on = np.flatnonzero(sds)
-    scale = sds[on]
-    whole = np.eye(len(on)) + scale[:, None] * normal[:, on][:, :, on] * scale
-    root = np.linalg.cholesky(whole)
-    left = np.linalg.solve(root, (scale * right[:, on])[..., None])[..., 0]
-    return np.asarray(0.5 * np.sum(left**2, axis=1) - np.sum(np.log(np.einsum("nii->ni", root)), axis=1))
 
 
 def scanned(
@@ -83,89 +58,6 @@ def scanned(
     weight /= np.sum(weight)
     mean = float(weight @ at)
     return mean, float(np.sqrt(weight @ (at - mean) ** 2 + step**2 / 12.0)), whole
-
-
-# One mode under a force that vanishes at the end: `y + 2 z y' / w + y'' / w^2 = f`. y is the free swing after the end,
-# continued to earlier times, plus the effect of f backwards in time. With u the time left, the effect of `u^n / n!` is
-#
-# p(u) - p(0) free(1, 0) + p'(0) free(0, 1),   p = sum over m of the m-th derivative of u^n / n! times d_m,
-# d = 1, a, a^2 - b, a^3 - 2 a b,   a = 2 z / w, b = 1 / w^2.
-#
-# f is a sum of powers of u, a random walk, and a fall to zero in a given time: a straight line with a bridge on it.
-
-POWERS = 3  # u, u^2 / 2, u^3 / 6
-STEPS = 24  # of the walk
-FALLS = tuple(5e-3 * 2.0 ** (i / 2.0) for i in range(11))  # s, 5 to 160 ms
-PIECES = 8  # of a fall: the straight line, and 7 of the bridge
-SWING = 4  # two amplitudes, frequency, damping
-_BRIDGE = 0.25  # of the fall: sd of the bridge's first wave; the next ones less
-_SLIGHT_DAMPING = 1e-4
-
-
-@dataclass(frozen=True)
-class Mode:
-    """A damped mode, and its free swing about a given time."""
-
-    rate: float  # rad/s, w
-    damping: float  # z, below 1
-    origin: float  # s
-    start: float  # y at the origin
-    speed: float  # y' there over w
-
-    def free(self, since: Array) -> tuple[Array, Array]:
-        """y `since` (...) s after y = 1, y' = 0, and after y = 0, y' = w."""
-        w, z = self.rate, self.damping
-        root = np.sqrt(1.0 - z**2)
-        decay = np.exp(-z * w * since)
-        sine = decay * np.sin(root * w * since) / root
-        return np.asarray(decay * np.cos(root * w * since) + z * sine), np.asarray(sine)
-
-    def swing(self, time: Array) -> Array:
-        """(F, 4): free swings of the two amplitudes, and what a change of log frequency and of damping does."""
-        since = time - self.origin
-        one, two = self.free(since)
-        away = []
-        for rate, damping in (
-            (self.rate * (1.0 + _SLIGHT_DAMPING), self.damping),
-            (self.rate, self.damping + _SLIGHT_DAMPING),
-        ):
-            a, b = Mode(rate, damping, 0.0, 0.0, 0.0).free(since)
-            away.append((self.start * (a - one) + self.speed * (b - two)) / _SLIGHT_DAMPING)
-        return np.stack([one, two, *away], axis=-1)
-
-    def of_powers(self, left: Array, most: int) -> Array:
-        """(..., most + 1): what u^n / n! does, n = 0 ... most, `left` (...) s before the end; 0 after it."""
-        a, b = 2.0 * self.damping / self.rate, self.rate**-2
-        by = (1.0, a, a**2 - b, a**3 - 2.0 * a * b)
-        u = np.maximum(left, 0.0)
-        one, two = self.free(-u)
-        out = []
-        for n in range(most + 1):
-            p = sum(by[m] * u ** (n - m) / factorial(n - m) for m in range(n + 1))
-            out.append(np.where(left > 0.0, p - by[n] * one + (by[n - 1] / self.rate if n else 0.0) * two, 0.0))
-        return np.stack(out, axis=-1)
-
-
-def columns(mode: Mode, time: Array, ends: Array, long: float) -> Array:
-    """(n, F, 4 + 3 + 24 + 8 falls): what each part does at `time` (F,) for ends (n,); u in `long` s, falls to one."""
-    left = ends[:, None] - time
-    swing = np.broadcast_to(mode.swing(time), (*left.shape, SWING))
-    powers = (mode.of_powers(left, POWERS) / long ** np.arange(POWERS + 1))[..., 1:]
-    step = max(0.5 * float(np.median(np.diff(time))), 0.02 * long)
-    edges = np.concatenate([[0.0], np.geomspace(step, 1.5 * max(long, step), STEPS)])
-    reach = mode.of_powers(left[..., None] - edges, 2)[..., 2] / long**2
-    walk = (reach[..., :-1] - reach[..., 1:]) / np.sqrt(np.diff(edges) / long) * np.sqrt(3.0)
-    return np.concatenate([swing, powers, walk, *(_fall(mode, left, lasts) for lasts in FALLS)], axis=-1)
-
-
-def _fall(mode: Mode, left: Array, lasts: float) -> Array:
-    """(n, F, 8): of a fall to zero within `lasts` s: the straight line, and the bridge's waves with an sd of one."""
-    at = np.arange(PIECES + 1) / PIECES
-    wave = np.arange(1, PIECES)
-    values = np.column_stack([at, np.sin(np.pi * np.outer(at, wave)) * _BRIDGE / wave**1.5])
-    slopes = np.diff(values, axis=0) * PIECES / lasts
-    kinks = np.diff(np.vstack([np.zeros(PIECES), slopes, np.zeros(PIECES)]), axis=0)
-    return np.asarray(mode.of_powers(left[..., None] - lasts * at, 1)[..., 1] @ kinks)
 
 
 # Bending along the slowest mode of small vibrations about rest. Modes are orthogonal in stiffness.
@@ -288,121 +180,42 @@ def _passage(time: Array, value: Array, before: _Lobe, after: _Lobe) -> float:
     return float(time[i] + (time[j] - time[i]) * value[i] / (value[i] - value[j]))
 
 
-# End with a swing: the force on the slowest mode vanishes. For a given end the motion is linear in all else, and its
-# evidence has a closed form. It is compared with that of a lasting force.
+# End with a swing. A beam that is let go is at its largest bending then, and goes through rest a quarter of a swing
+# later. A hand that opens slowly lets go up to as much later again. What follows must be a damped sinusoid, or a hand
+# moved the beam.
 
-_SWINGS_BEFORE, _SWINGS_AFTER = (
-    3.0,
-    6.0,
-)  # half swings that are looked at, before and after the first passage through rest
-_END = 1.5  # half swings from there, in which the end is sought
-_FEWEST = 8  # frames before the passage, at least
-_FREE = 5  # frames that are free, at least
-_SHARE = 0.006  # of the motion nearby: what one mode leaves out, higher ones and the frequency's change with the size
-_ROUNDS = 3  # swing and end in turn
-_CHANGES = 0.3  # sd of log frequency and of damping about those of the swing
-_AMPLITUDES = 3.0  # sd of the swing's amplitudes, of the motion nearby
-_RATES, _DAMPINGS = (0.75, 0.85, 1.0, 1.15, 1.35), (0.03, 0.15, 0.4)  # where the fit of the swing begins
+_FREE_SWINGS = 6.0  # half swings after the first passage through rest that are compared with one
+_HELD = 0.98  # of the largest bending in the half swing before: as long as that is left, the hand holds the beam
+_LEFT = 0.15  # of their size, RMS: with more left it is no free swing
 _AWAY = 0.53  # of the log frequency from that of the half swings, at most
 _DAMPED = (-7.0, 0.8)  # of the damping's log odds: 0.001 to 0.7, beyond which nothing swings
-_NO_FALL = -1
-# Sizes of the three powers and the walk: slow ends, and each fall with the change of force before it.
-_SLOW = tuple(
-    (_NO_FALL, *powers, walk)
-    for powers in ((0.3, 0.6, 0.0), (3.0, 6.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 3.0), (0.1, 1.0, 6.0))
-    for walk in (0.03, 0.3, 3.0)
-)
-_QUICK = tuple((i, 0.0, 0.0, 0.0, walk) for i in range(len(FALLS)) for walk in (0.03, 0.3, 1.0))
 
 
-@dataclass(frozen=True)
-class _Part:
-    time: Array  # (F,) s
-    value: Array  # (F,)
-    noise: Array  # (F,) sd
-    zero: float  # sd of the value at rest
-    size: float  # of the motion
-    long: float  # s, from the first frame to the first passage
-
-
-def release(time: Array, value: Array, noise: float, swing: HalfSwings, first: int) -> Edge | None:
-    """End of a contact from frame `first` on that a swing follows; None if the evidence is for a lasting force. `value`
-    (T,) is zero at rest, with sd `noise`."""
-    part = _part(time, value, noise, swing, first)
-    low = max(float(time[first]), float(part.time[1]), swing.passage - _END * swing.half)
-    high = max(min(swing.passage + _END * swing.half, float(part.time[-1]) - 0.5 * swing.half), low + 0.2 * swing.half)
-    try:
-        return _told(part, swing, low, high)
-    except np.linalg.LinAlgError:  # so strongly damped that going back in time it grows beyond all numbers: no swing
+def release(time: Array, value: Array, noise: float, swing: HalfSwings) -> Edge | None:
+    """End of a contact that a swing follows; None if what follows is no free swing. `value` (T,) is zero at rest, with
+    sd `noise`."""
+    free = (time >= swing.passage) & (time <= swing.passage + _FREE_SWINGS * swing.half)
+    since, seen = time[free] - swing.passage, value[free]
+    if len(since) < RUN:
         return None
 
-
-def _told(part: _Part, swing: HalfSwings, low: float, high: float) -> Edge | None:
-    """Between `low` and `high`: swing and end in turn."""
-    free_from = swing.passage
-    for _ in range(_ROUNDS):
-        mode = _fitted(part, free_from, swing)
-        mean, sd, released = scanned(partial(_evidence, part, mode), low, high, (72, 36, 36))
-        free_from = mean + sd
-    goes_on = _evidence(part, mode, part.time[-1:])[0]
-    return Edge(mean, sd) if released > goes_on else None
-
-
-def _part(time: Array, value: Array, noise: float, swing: HalfSwings, first: int) -> _Part:
-    near = int(np.searchsorted(time, swing.passage))
-    begin = int(np.searchsorted(time, max(float(time[first]), swing.passage - _SWINGS_BEFORE * swing.half)))
-    begin = min(begin, max(near - _FEWEST, 0))
-    last = min(swing.passage + _SWINGS_AFTER * swing.half, float(time[swing.last]) + swing.half)
-    end = max(int(np.searchsorted(time, last)), near + _FEWEST // 2)
-    time, value = time[begin:end], value[begin:end]
-    nearby = max(int(0.5 * swing.half / float(np.median(np.diff(time)))), 1)
-    sizes = np.abs(value)
-    around = np.array([np.max(sizes[max(i - nearby, 0) : i + nearby + 1]) for i in range(len(sizes))])
-    long = max(swing.passage - float(time[0]), swing.half)
-    return _Part(time, value, np.hypot(noise, _SHARE * around), noise, float(np.max(sizes)), long)
-
-
-def _fitted(part: _Part, free_from: float, swing: HalfSwings) -> Mode:
-    free: BoolArray = part.time >= free_from
-    free[-_FREE:] = True
-    since, seen = part.time[free] - swing.passage, part.value[free]
-
-    def fit(x: Array) -> tuple[Array, Array]:
-        basis = np.stack(Mode(float(np.exp(x[0])), _damping(x[1]), 0.0, 0.0, 0.0).free(since), axis=-1)
-        amplitudes = np.linalg.lstsq(basis, seen, rcond=None)[0]
-        return np.asarray(amplitudes), np.asarray(basis @ amplitudes - seen)
+    def left(x: Array) -> Array:
+        ratio = 1.0 / (1.0 + np.exp(-x[1]))
+        phase, decay = np.exp(x[0]) * np.sqrt(1.0 - ratio**2) * since, np.exp(-ratio * np.exp(x[0]) * since)
+        basis = np.stack([decay * np.cos(phase), decay * np.sin(phase)], axis=-1)
+        return np.asarray(basis @ np.linalg.lstsq(basis, seen, rcond=None)[0] - seen)
 
     usual = float(np.log(np.pi / swing.half))
-    starts = [np.array([usual + np.log(r), np.log(z / (1.0 - z))]) for r in _RATES for z in _DAMPINGS]
-    best = min(starts, key=lambda x: float(np.sum(fit(x)[1] ** 2)))
     bounds = ([usual - _AWAY, _DAMPED[0]], [usual + _AWAY, _DAMPED[1]])
-    x = least_squares(lambda x: fit(x)[1], best, bounds=bounds, x_scale=[0.1, 0.5]).x
-    start, speed = fit(x)[0]
-    return Mode(float(np.exp(x[0])), _damping(x[1]), swing.passage, float(start), float(speed))
-
-
-def _damping(x: float) -> float:
-    return float(1.0 / (1.0 + np.exp(-x)))
-
-
-def _evidence(part: _Part, mode: Mode, ends: Array) -> Array:
-    """(n,) log, of ends (n,) [s], but for a constant."""
-    basis = columns(mode, part.time, ends, part.long)
-    basis = np.concatenate([basis, np.ones((*basis.shape[:2], 1))], axis=-1)
-    sizes = [(-float(np.log(2.0 * len(some))), _swing_sds(part, *one)) for some in (_SLOW, _QUICK) for one in some]
-    return evidence_of(basis, part.value, part.noise, sizes)
-
-
-def _swing_sds(part: _Part, fall: int, kink: float, square: float, cube: float, walk: float) -> Array:
-    falls = np.zeros((len(FALLS), PIECES))
-    if fall != _NO_FALL:
-        falls[fall] = part.size
-    swing = np.array([_AMPLITUDES * part.size, _AMPLITUDES * part.size, _CHANGES, _CHANGES])
-    steps = np.full(STEPS, part.size * walk)
-    assert len(swing) == SWING
-    powers = part.size * np.array([kink, square, cube])
-    assert len(powers) == POWERS
-    return np.concatenate([swing, powers, steps, falls.ravel(), [part.zero]])
+    found = least_squares(left, [usual, -2.5], bounds=bounds, x_scale=[0.1, 0.5])
+    size = np.sqrt(np.mean(seen**2))
+    if np.sqrt(np.mean(found.fun**2)) > _LEFT * size + noise:
+        return None
+    before = np.flatnonzero((time >= swing.passage - swing.half) & (time <= swing.passage))
+    bent = np.abs(value[before])
+    held = before[np.flatnonzero(bent >= _HELD * np.max(bent))[-1]]
+    earliest, latest = float(time[max(held - 1, 0)]), swing.passage + 0.5 * swing.half
+    return Edge(0.5 * (earliest + latest), (latest - earliest) / float(np.sqrt(12.0)))
 
 
 # Contacts with their ends by the bending. Motion after a release is no contact.
@@ -450,7 +263,7 @@ def _contact(
     moves = _until(time, value, noise, int(known[swing.last]), swing, runs)
     if moves < last:
         return usual
-    told = release(times, values, noise, swing, begin)
+    told = release(times, values, noise, swing)
     let = -1 if told is None else int(np.searchsorted(time, told.time)) - 1
     return usual if let < first else ContactFrames(first, let, moves, told)
 

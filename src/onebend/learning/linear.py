@@ -25,7 +25,6 @@ from onebend.learning.fit_data import FitData
 from onebend.learning.force_error import ForceError
 from onebend.learning.frames import whitened
 from onebend.learning.frequencies import FrequencyData, PredictedFrequencies, predicted_frequencies
-from onebend.learning.hyperparameters import Sites, first_site, is_shaped
 from onebend.learning.normal import (
     BlockRoot,
     InformationForm,
@@ -38,6 +37,7 @@ from onebend.learning.normal import (
 )
 from onebend.learning.parameters import Block, Layout
 from onebend.learning.prediction import Prediction, Slopes
+from onebend.learning.sites import Sites, first_site, is_shaped
 from onebend.progress import each
 from onebend.records import Array, IntArray, tags_among
 

@@ -16,8 +16,8 @@ from onebend.recording.force_log import refuse_other_unit, size_remarks
 from onebend.recording.outline import PLACES, POINTS
 from onebend.recording.schema import lines_of_keys
 from onebend.recording.stated import stated_in
-from onebend.recording.tables import Columns, curve_rows, points_on, read_columns, stated_sd, vertices_of
-from onebend.recording.tracks import chord_angles
+from onebend.recording.tables import Columns, read_columns
+from onebend.recording.tracks import chord_angles, curve_rows, points_on, stated_sd, vertices_of
 from onebend.records import (
     POINT_ID,
     UNKNOWN_ANGLE_SD,

@@ -8,8 +8,8 @@ from hypothesis import given, strategies as st
 from scipy.stats import norm, truncnorm
 
 from onebend.learning.allowances import ANYTHING, POSITIVE, RARE
-from onebend.learning.hyperparameters import first_site, is_shaped, moments, updated
 from onebend.learning.parameters import Block
+from onebend.learning.sites import first_site, is_shaped, moments, updated
 from onebend.records import Array
 
 

@@ -17,8 +17,7 @@ from onebend.learning.posterior import fit
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe
 from onebend.recording.outline import PLACES, POINTS
-from onebend.recording.tables import points_on
-from onebend.recording.tracks import track_markers
+from onebend.recording.tracks import points_on, track_markers
 from onebend.records import Array
 from onebend.report.figures import check_png
 from onebend.report.overview import overview
