@@ -10,7 +10,6 @@ from .design import (
     Quality as Quality,
     after_push as after_push,
     information as information,
-    information_along as information_along,
     plan as plan,
 )
 from .endings import Edge as Edge

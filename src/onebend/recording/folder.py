@@ -18,7 +18,6 @@ from onebend.errors import LearningError, ObservationError, RecordingError
 from onebend.recording import entries
 from onebend.recording.bag_topics import CameraInfo, bag_camera, check_bag, picture_size, with_bags
 from onebend.recording.bags import is_bag
-from onebend.recording.camera import equidistant, nearest_lens, rational
 from onebend.recording.entries import (
     FAMILY_SIZES,
     MOST_FREQUENCIES,
@@ -374,7 +373,7 @@ def check_same_length(length: float, description: Recording) -> None:
 
 
 RECTIFIED = "image_rect"  # how the name of a topic of rectified pictures begins
-POLYNOMIAL, RATIONAL, FISHEYE = "plumb_bob", "rational_polynomial", ("equidistant", "fisheye")
+POLYNOMIAL, RATIONAL = "plumb_bob", "rational_polynomial"
 OTHERWISE = "Calibrate with `onebend calibrate`, or remove camera_info: then the camera is inferred from the tags."
 
 
@@ -434,27 +433,20 @@ def lens_of(info: CameraInfo, video: VideoEntry) -> tuple[Array, str]:
     place, count = f"[camera] camera_info: {info.topic} of {video.file}", len(info.lens)
     if info.model in (POLYNOMIAL, "") and count == 0:
         return np.zeros(5), "it says nothing of a lens, and none is assumed"
-    counts = {POLYNOMIAL: (4, 5), RATIONAL: (8,)} | dict.fromkeys(FISHEYE, (4,))
+    counts = {POLYNOMIAL: (4, 5), RATIONAL: (8,)}
     if info.model not in counts:
         raise RecordingError(
-            f"{place}: the lens model {quoted(info.model)} is not known; {', '.join(counts)} are. {OTHERWISE}"
+            f"{place}: the lens model {quoted(info.model)} is not known; {', '.join(counts)} are. Record rectified "
+            f"pictures (image_rect). {OTHERWISE}"
         )
     if count not in counts[info.model]:
         wanted = " or ".join(map(str, counts[info.model]))
         raise RecordingError(f"{place}: D has {count} numbers; {info.model} has {wanted}. {OTHERWISE}")
-    if info.model == POLYNOMIAL:
-        return np.append(info.lens, 0.0)[:5], f"lens {info.model}"
-    if info.model == RATIONAL and not info.lens[5:].any():
-        return info.lens[:5], f"lens {info.model}, without k4 to k6"
-    lens = rational(info.lens) if info.model == RATIONAL else equidistant(info.lens)
-    dist, worst = nearest_lens(lens, info.matrix, (info.width, info.height))
-    if not worst <= 0.1:  # px: a lens of another model that ours meets so nearly is taken as ours
-        how = f"miss it by up to {worst:.2g} px" if np.isfinite(worst) else "cannot follow it to the picture's edges"
+    if info.lens[5:].any():
         raise RecordingError(
-            f"{place}: its lens is {info.model}, and k1, k2, p1, p2, k3 {how}. Record rectified pictures (image_rect), "
-            f"or take a lens that bends less. {OTHERWISE}"
+            f"{place}: its lens has k4 to k6, which are not modelled. Record image_rect. {OTHERWISE}"
         )
-    return dist, f"lens {info.model} as k1, k2, p1, p2, k3, which meet it to {worst:.2g} px"
+    return np.append(info.lens, 0.0)[:5], f"lens {info.model}"
 
 
 def of_part(info: CameraInfo, matrix: Array) -> tuple[Array, str]:
