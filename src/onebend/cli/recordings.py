@@ -28,7 +28,7 @@ from onebend.recording.calibration import NAMES, Board, BoardKind, Calibration, 
 from onebend.recording.folder import empty_values, key_at
 from onebend.recording.schema import Place, place_name
 from onebend.recording.template import FoundInFiles, Kind, write_template
-from onebend.report.wording import significant
+from onebend.report.sentences import significant
 from onebend.text_files import to_json
 
 if TYPE_CHECKING:

@@ -1,6 +1,5 @@
 from .allowances import Allowance as Allowance
-from .attribution import Attribution as Attribution
-from .contradictions import Contradiction as Contradiction
+from .attribution import Attribution as Attribution, Contradiction as Contradiction
 from .criticism import Criticism as Criticism, Finding as Finding, Score as Score, Suspect as Suspect
 from .design import (
     Limits as Limits,
@@ -12,7 +11,6 @@ from .design import (
     information as information,
     plan as plan,
 )
-from .endings import Edge as Edge
 from .fit_data import AtRest as AtRest, FitData as FitData, OwnWeight as OwnWeight
 from .force_error import Filtered as Filtered, ForceError as ForceError
 from .frequencies import (
@@ -47,6 +45,7 @@ from .parameters import (
 from .posterior import Nuisance as Nuisance, Quantities as Quantities
 from .prediction import Prediction as Prediction, Slopes as Slopes, TagMotion as TagMotion, TagRide as TagRide
 from .push_place import PlaceSearch as PlaceSearch
+from .sensing.contacts import Edge as Edge
 from .sensing.forces import Misfit as Misfit
 from .sensing.sense import (
     ContactMoment as ContactMoment,

@@ -443,9 +443,7 @@ def lens_of(info: CameraInfo, video: VideoEntry) -> tuple[Array, str]:
         wanted = " or ".join(map(str, counts[info.model]))
         raise RecordingError(f"{place}: D has {count} numbers; {info.model} has {wanted}. {OTHERWISE}")
     if info.lens[5:].any():
-        raise RecordingError(
-            f"{place}: its lens has k4 to k6, which are not modelled. Record image_rect. {OTHERWISE}"
-        )
+        raise RecordingError(f"{place}: its lens has k4 to k6, which are not modelled. Record image_rect. {OTHERWISE}")
     return np.append(info.lens, 0.0)[:5], f"lens {info.model}"
 
 

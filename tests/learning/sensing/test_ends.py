@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from onebend.beam.loads import push
-from onebend.learning.endings import ModeBending, ended, find_swing
-from onebend.learning.sensing.contacts import runs_of
+from onebend.learning.sensing.contacts import ModeBending, ended, find_swing, runs_of
 from onebend.learning.sensing.sense import sense
 from onebend.records import Array
 from tests.learning.sensing.drawn import BAND, BEAM, drawn, place_off
