@@ -11,9 +11,9 @@ from scipy.signal import lfilter
 from scipy.spatial import cKDTree
 
 from onebend.errors import ObservationError
-from onebend.recording import outline
+from onebend.recording import flanks, outline
 from onebend.recording.camera import measure_markers, project, to_plane
-from onebend.recording.outline import MEASURED, Planes, Sight, Stations
+from onebend.recording.flanks import MEASURED, Planes, Sight, Stations
 from onebend.records import Array, BoolArray, Markers, OutlineTrack, View
 from tests.recording.filmed import HEIGHT, LENGTH, WIDTH, corners_of, detections, poses, recording, view
 
@@ -133,10 +133,10 @@ def test_a_wall_is_no_part_of_the_top_face() -> None:
 
 def test_an_edge_between_two_levels_is_found_to_a_twentieth_of_a_pixel() -> None:
     for place in (-1.3, -0.4, 0.0, 0.3, 2.2):
-        share = 0.5 + 0.5 * np.tanh((outline._OUT - place) / 0.9)
+        share = 0.5 + 0.5 * np.tanh((flanks.OUT - place) / 0.9)
         colour = np.stack([200.0 - 80.0 * share, 120.0 + 0.0 * share, 130.0 + 0.0 * share], axis=1)[None, None]
-        first = np.full((1, 1), int(np.argmin(np.abs(outline._OUT - place))) - 2)
-        assert float(outline.edge_place(colour.astype(np.float32), first, np.ones(3))[0, 0]) == pytest.approx(
+        first = np.full((1, 1), int(np.argmin(np.abs(flanks.OUT - place))) - 2)
+        assert float(flanks.edge_place(colour.astype(np.float32), first, np.ones(3))[0, 0]) == pytest.approx(
             place, abs=0.05
         )
 
@@ -278,3 +278,19 @@ def test_between_the_frames_that_are_read_the_curve_is_not_seen() -> None:
     np.testing.assert_allclose(spread.px[4], (2.0 * of_kept.px[1] + of_kept.px[2]) / 3.0)
     np.testing.assert_allclose(spread.ahead[7], of_kept.ahead[2])
     assert np.array_equal(np.flatnonzero(np.isfinite(spread.sd[:, 0])), kept)
+
+
+def dotted(planes: Planes, bend: float, radius: float) -> Planes:
+    """The picture with black dots of this radius [m] on the body's middle."""
+    middle, _ = line(bend, np.array([0.25, 0.5, 0.75]))
+    away = to_plane(VIEW, np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), axis=-1)) - middle[:, None, None]
+    black = np.linalg.norm(away, axis=-1).min(axis=0) < radius
+    luma, chroma = np.where(black, 20, planes.luma), np.where(black, 128, planes.chroma)
+    return Planes(luma.astype(np.uint8), chroma.astype(np.uint8))
+
+
+def test_dots_on_the_body_do_not_move_its_middle() -> None:
+    pictures = [dotted(painted(b, seed=i), b, 0.003) for i, b in enumerate(BENDS.tolist())]
+    off = errors(traced(pictures), BENDS)
+    assert np.isfinite(off).mean() > 0.95
+    assert float(np.nanmax(np.sqrt(np.nanmean(off**2, axis=0)))) < 0.15

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from onebend.errors import ObservationError, RecordingError
 from onebend.recording.entries import CameraEntry, Recording, TagEntry
+from onebend.recording.signals import running_median
 from onebend.records import POINT_ID, Array, BoolArray, Detections, Markers, OutlineTrack, Remark, View
 
 
@@ -412,12 +413,6 @@ def average(poses: Sequence[Poses]) -> Poses:
     covariance = np.where(none[..., None, None], np.nan, np.linalg.inv(weights + none[..., None, None] * np.eye(3)))
     state = (covariance @ sums[..., None])[..., 0]
     return Poses(state[..., :2], state[..., 2], covariance)
-
-
-def running_median(values: Array, count: int) -> Array:
-    """Median over `count` rows around each row of `values` (T, n); the ends repeat."""
-    padded = np.pad(values, ((count // 2, count // 2), (0, 0)), mode="edge")
-    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, count, axis=0), axis=-1))
 
 
 def motion_remarks(pose: Poses, moving: bool, expected: bool) -> list[Remark]:

@@ -23,31 +23,25 @@ from onebend.progress import Progress, Silent, track
 from onebend.recording.beam_frame import MOUNTING_SD, to_beam_frame
 from onebend.recording.camera import lay_square, measure_markers, points_in_plane, project, to_plane, view_of
 from onebend.recording.entries import Recording
-from onebend.recording.outline import (
+from onebend.recording.flanks import (
     MEASURED,
     PAPER,
-    PLACES,
-    POINTS,
     STATES,
-    STATION,
     STEP,
     Curve,
     OutlinedBody,
-    OutlineSearch,
     Planes,
     Sight,
     Stations,
-    centreline,
     edge_size,
     find_flanks,
     first_width,
     grown,
-    nan_median,
-    points_of,
     refined,
-    refuse_lost,
 )
+from onebend.recording.outline import PLACES, POINTS, STATION, OutlineSearch, centreline, points_of, refuse_lost
 from onebend.recording.poses import ERROR_LENGTH, GUESSED_SD, PoseLoads, PosePoints, read_loads, static
+from onebend.recording.signals import nan_median
 from onebend.recording.tables import read_columns
 from onebend.recording.tag_finder import Finder
 from onebend.recording.tags import track_block

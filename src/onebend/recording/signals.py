@@ -349,3 +349,24 @@ def correlation_time(r: Array, longest: int = LONGEST_LAG) -> float:
             break
         total += 2.0 * rho
     return total
+
+
+def running_median(values: Array, count: int) -> Array:
+    """Medians over `count` rows around each row of `values` (N, ...), NaN left out; the ends repeat."""
+    padded = np.pad(values, [(count // 2, count // 2), *[(0, 0)] * (values.ndim - 1)], mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, count, axis=0)
+    return np.asarray(np.median(windows, axis=-1)) if np.isfinite(values).all() else nan_median(windows, axis=-1)
+
+
+def nan_median(values: Array, axis: int = 0) -> Array:
+    """Median of what is there; NaN where nothing is."""
+    known = np.isfinite(values).any(axis=axis)
+    return np.where(known, np.nanmedian(np.where(np.expand_dims(known, axis), values, 0.0), axis=axis), np.nan)
+
+
+def nan_mean(values: Array) -> Array:
+    """Mean over the first axis of what is there; NaN where nothing is."""
+    known = np.isfinite(values)
+    count = known.sum(axis=0)
+    total = np.where(known, values, 0.0).sum(axis=0)
+    return np.asarray(np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0))

@@ -12,11 +12,19 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from onebend.errors import ObservationError, RecordingError
-from onebend.recording.camera import MOVED, RUNNING, lengths_apart, order_hint, rotated, running_median, unwrap
+from onebend.recording.camera import MOVED, RUNNING, lengths_apart, order_hint, rotated, unwrap
 from onebend.recording.entries import FrequencyEntry, GravityEntry, Recording
 from onebend.recording.force import ContactSettings, find_contact
 from onebend.recording.outline import PLACES, POINTS
-from onebend.recording.signals import LATEST, MAD_TO_SD, MOST_FRAMES, check_span, copies_in_motion, from_clamp
+from onebend.recording.signals import (
+    LATEST,
+    MAD_TO_SD,
+    MOST_FRAMES,
+    check_span,
+    copies_in_motion,
+    from_clamp,
+    running_median,
+)
 from onebend.recording.stated import stated_in
 from onebend.recording.tables import Columns, read_columns, read_every_column
 from onebend.records import (
