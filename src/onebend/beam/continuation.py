@@ -1,4 +1,4 @@
-"""Equilibrium by continuation in the load, directly where all loads push to one side, and falls.
+"""Equilibrium by continuation in the load, directly where all loads push to one side; falls; all stable equilibria.
 
 With `gamma = alpha - alpha_rest`, N the force beyond s, phi in (0, pi) its angle with the rest tangent, counted to the
 side to which it pushes, and eps = (1/EA - 1/kGA) N, the balance of the forces is

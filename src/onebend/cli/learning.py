@@ -1,4 +1,4 @@
-"""Commands that learn, validate and plan."""
+"""Commands that learn, validate and plan; and those for swings and for the force on a beam."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The sentences of `sentences.toml`, by code, with their numbers."""
+"""Numbers and sentences for people: those of `sentences.toml` by code, and those that depend on a whole run."""
 
 from __future__ import annotations
 
