@@ -1,6 +1,6 @@
 """Effect of each allowance on k(s), and what in a recording contradicts its description.
 
-Effect of each allowance on k(s): on the width of its band, and on its value. With C the posterior covariance, b an
+The effect on the width of the band, and on k(s) itself: with C the posterior covariance, b an
 allowance's parameters and c the coefficients of log k: if b were known, the variance of c would be `C_cc - C_cb C_bb^-1
 C_bc`; if b were b_0, its value for the ideal bench, log k would change by `C_cb C_bb^-1 (b_0 - b)`. The expected square
 of that change, given the data, orders the allowances. Squares are averaged over places with the precision of log k as
@@ -30,8 +30,8 @@ from onebend.records import POINT_ID, Array, IntArray
 # What in a recording contradicts its description or the fit's model, and by how much k(s) may be off for it.
 #
 # Every contradiction has a size: the change of log k that it may stand for, in sds of log k. Sizes add up in squares.
-# Where they exceed `TRUSTED` together, the true k(s) may lie outside its 95 % band. A contradiction that the fit explains
-# by a well-determined cause, as axes of the log that are turned, changes k(s) little and so is small.
+# Where they exceed `TRUSTED` together, the true k(s) may lie outside its 95 % band. A contradiction that the fit
+# explains by a well-determined cause, as axes of the log that are turned, changes k(s) little and so is small.
 
 TRUSTED = 2.0  # sds of log k: what a 95 % band covers
 _NAMED = 0.3  # of all together: smaller ones are not named
