@@ -6,7 +6,7 @@ import numpy as np
 import pypdfium2
 from pyapriltags import Detector
 
-from onebend.lab.sheet import PAGES, Fill, Sheet, files_of, tag_pages
+from onebend.lab.sheet import PAGES, Sheet, files_of, tag_pages
 
 DPI = 600
 
@@ -23,12 +23,12 @@ def sheet_row(page: str, size: float, family: str) -> str:
     detector = Detector(families=family, nthreads=1, quad_decimate=1.0)
     found = {one.tag_id: np.asarray(one.corners) * 25.4 / DPI for one in detector.detect(image)}
     corner_off, path_off = 0.0, 0.0
-    fills = [mark for mark in made.marks if isinstance(mark, Fill)]
-    for tag, fill in zip(ids, fills, strict=True):
-        low, high = fill.polygons.reshape(-1, 2).min(axis=0), fill.polygons.reshape(-1, 2).max(axis=0)
+    height = made.axes[0].get_ylim()[0]
+    for tag, fill in zip(ids, made.axes[0].patches, strict=True):
+        low, high = fill.get_path().get_extents().get_points()
         wanted = [[low[0], high[1]], [high[0], high[1]], [high[0], low[1]], [low[0], low[1]]]
         corner_off = max(corner_off, float(np.max(np.abs(found[tag] - wanted))))
-        bounds = np.array([low[0], made.height - high[1], high[0], made.height - low[1]])
+        bounds = np.array([low[0], height - high[1], high[0], height - low[1]])
         path_off = max(path_off, min(float(np.max(np.abs(np.array(box) * 25.4 / 72 - bounds))) for box in boxes))
     return f"| {page} | {family} | {1e3 * size:g} | {len(found)} of {len(ids)} | {path_off:.4f} | {corner_off:.4f} |"
 

@@ -170,7 +170,7 @@ def test_a_recorded_push_places_the_robot(tmp_path: Path) -> None:
     log = folder / "force.csv"
     lines = [",".join(line.split(",")[:4]) for line in log.read_text(encoding="utf-8").splitlines()]
     log.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    with pytest.raises(RecordingError, match=r"has no x_m.*--place start"):
+    with pytest.raises(RecordingError, match=r"no column x_m.*--place start"):
         from_recording(read_recording(folder))
 
 

@@ -24,7 +24,8 @@ S = np.linspace(0.05, 0.9, 60)
 FINE = Resolution(order=12, widest=0.5)  # as the learner's own
 NOISE = (2e-5, 1e-3)  # m, rad
 IDEAL_LIVE = OnlineSettings(allowances=frozenset())  # an ideal beam on an ideal bench, which is what `observed` makes
-PLAIN = replace(IDEAL_LIVE, functions=8, adapt=False, bulk=np.inf, gate=np.inf, marker_noise=1.0, force_load=1e-9)
+PLAIN = replace(IDEAL_LIVE, functions=8, adapt=False, bulk=np.inf, gate=np.inf, marker_noise=1.0)
+PLAIN = replace(PLAIN, force=replace(PLAIN.force, load=1e-9))
 
 
 def tags_of(

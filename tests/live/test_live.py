@@ -17,7 +17,7 @@ import pytest
 from onebend.errors import ObservationError, RecordingError
 from onebend.learning.optimizer import FitSettings
 from onebend.live.live import Live, LiveSettings, LiveState
-from onebend.live.review import ENDED, Later, Reviewed, ReviewerBeside, Seen, go_on, review
+from onebend.live.review import ENDED, Reviewed, ReviewerBeside, Seen, review
 from onebend.pipeline import learn, learn_observed
 from onebend.recording.entries import GravityEntry
 from onebend.recording.observe import markers_of, observe_markers
@@ -228,42 +228,36 @@ at_s = 1.0
 
 
 def test_a_process_beside_finds_what_this_one_does_and_may_end() -> None:
-    seen, later = _half()
-    beside, settings = ReviewerBeside(HERE.observing, HERE.learning), (HERE.observing, HERE.learning)
+    seen, settings = _half(), (HERE.observing, HERE.learning)
+    beside = ReviewerBeside(*settings)
     beside.begin(seen)
-    here = go_on(review(seen, *settings), later)
-    there = _waited_for(beside, later)
+    here, there = review(seen, *settings), _waited_for(beside)
     assert here.learner is not None
     assert there.learner is not None
-    assert there.until == here.until == later.time[-1]
+    assert there.until == here.until == seen.until
     assert np.allclose(there.learner.stiffness.mean, here.learner.stiffness.mean, rtol=1e-6, atol=1e-8)
     beside.begin(seen)
-    process = beside._process
-    assert process is not None
-    os.kill(process.pid, signal.SIGKILL)
-    assert _waited_for(beside, later).why == ENDED
+    os.kill(beside._process.pid, signal.SIGKILL)
+    assert _waited_for(beside).why == ENDED
     assert not beside.busy
     beside.close()
 
 
-def _half() -> tuple[Seen, Later]:
-    """The push up to its middle, and what came after it."""
-    live, half = Live(described(), settings=NEVER, beside=False), []
+def _half() -> Seen:
+    """The push up to its middle."""
+    live = Live(described(), settings=NEVER, beside=False)
     for arrival in play(frames()[:55], log(), OFFSET):
         if arrival.picture is None:
             live.force(arrival.stamp, arrival.rows)
         elif arrival.at < 3.2:
             live.frame(arrival.picture, float(arrival.stamp))
-        else:
-            half.append(live._tracker.step(arrival.picture, float(arrival.stamp)))
-    later = Later(tuple(one.time for one in half), tuple(one.corners for one in half), live._log.rows.copy(), OFFSET)
-    return live._seen(), later
+    return live._seen()
 
 
-def _waited_for(beside: ReviewerBeside, later: Later) -> Reviewed:
+def _waited_for(beside: ReviewerBeside) -> Reviewed:
     deadline = time.monotonic() + 120.0
     while time.monotonic() < deadline:
-        if (made := beside.result(lambda _: later)) is not None:
+        if (made := beside.result()) is not None:
             return made
         time.sleep(0.01)
     raise AssertionError("the process beside did not answer")

@@ -7,6 +7,7 @@ curvature: those nodes are not unknown.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Literal
@@ -328,15 +329,21 @@ def trusted(turn: float) -> float:
     return min(0.25, 1e-3 + 0.5 * turn)
 
 
-def lead(pushed: PushedBeam, start: LoadedState, goal: Array, loads: int = 2) -> EquilibriumPath:
-    """Stable equilibria while the goal moves straight from the point of `start` to `goal`. Ends early at the edge of
-    reach or stability."""
+def lead(
+    pushed: PushedBeam,
+    start: LoadedState,
+    goal: Array,
+    loads: int = 2,
+    allowed: Callable[[LoadedState], bool] | None = None,
+) -> EquilibriumPath:
+    """Equilibria while the goal moves straight from the point of `start` to `goal`. Ends early at the edge of reach, or
+    where they are not `allowed` (default: not stable)."""
     begin = pushed.pose(start.q)[: len(goal)]
     states, share, step = [start], 0.0, 1.0
     while share < 1.0 and step > _SHORTEST_GOAL_STEP:
         now = min(1.0, share + step)
         result = solve_goal(pushed, states[-1], begin + now * (goal - begin), loads, most=8, trust=_GOAL_TRUST)
-        if result.converged and pushed.stable(result.state):
+        if result.converged and (allowed or pushed.stable)(result.state):
             states.append(result.state)
             share, step = now, 2.0 * step
         else:

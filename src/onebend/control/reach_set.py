@@ -28,6 +28,7 @@ from onebend.control.loaded_beam import (
     PushedBeam,
     ReachSettings,
     checked_goal,
+    lead,
     prepared,
     solve_goal,
     trace,
@@ -434,7 +435,6 @@ def _quads(known: BoolArray, apart: BoolArray | None, *, cyclic: bool) -> IntArr
 
 _TRUST = 0.4  # rad: a larger turn may leave the branch
 _SHORTEST_EDGE_STEP = 1e-3  # of the way to a force of the edge
-_SHARES = (1.0, 0.5, 0.25, 0.125, 0.03)
 _ON_GOAL = 1e-6  # m
 _SLIDES = 8
 _LEAST_DRAG = 1e-7  # m, of such a step
@@ -543,74 +543,51 @@ class HeldEnd(_Hand):
         wanted = checked_goal(goal, ReachSettings(moment=True))
         if len(wanted) != 3:
             raise ControlError("a hand holds a place and an angle: a goal is (x, y, angle)")
-        limit: Edge | None = None
-        for _ in range(4):
-            before = self.state
-            limit = self._step(wanted)
-            if float(np.max(np.abs(self.pushed.pose(self.state.q) - wanted))) < _ON_GOAL:
-                return self.answer(wanted, None)
-            if self.state is before:
+        limit = self._led(wanted)
+        for _ in range(3):
+            if limit != "force" or not self._slide(wanted):
                 break
-        return self.answer(wanted, limit or "stability")
+        return self.answer(wanted, limit)
 
-    def _step(self, wanted: Array) -> Edge | None:
-        """Returns the limit, or None."""
-        limit: Edge | None = None
-        here = self.pushed.pose(self.state.q)
-        for share in _SHARES:
-            limit = self._whole_step(here + share * (wanted - here))
-            if limit is None:
-                return None
-        return self._slide(wanted) or limit
-
-    def _slide(self, wanted: Array) -> Edge | None:
-        """Along the bound on the force at the wanted angle; "force" if that leads nearer."""
+    def _slide(self, wanted: Array) -> bool:
+        """Along the bound on the force at the wanted angle; whether that leads nearer."""
         here = self.pushed.pose(self.state.q)
         s = self.pushed.response(self.state)
         if abs(wanted[2] - here[2]) > 1e-3 or not np.isfinite(s).all() or not s[2, 2] > 0.0:
-            return None
+            return False
         away, now = wanted[:2] - here[:2], self.state.load[:2]
         plane = s[:2, :2] - np.outer(s[:2, 2], s[2, :2]) / s[2, 2]  # the moment keeps the angle
         aim = plane @ (best_in_ball(plane, plane @ now + away, 0.998 * self.max_force) - now)
         for share in (1.0, 0.3, 0.1):
             goal = np.append(here[:2] + share * aim, here[2])
             nearer = float(np.hypot(*(wanted - goal)[:2])) < float(np.hypot(*away)) - _ON_GOAL
-            if nearer and self._whole_step(goal) is None:
-                return "force"
-        return None
+            if nearer and self._led(goal) is None:
+                return True
+        return False
 
     @one_blas_thread
-    def edge(self, directions: int = 36, step: float = 0.04) -> list[tuple[Array, Edge]]:
-        """How far the hand can go straight without turning: (2,) m, and the limit.
-
-        Args:
-            directions: of the way.
-            step: of L; the last is halved three times.
-        """
+    def edge(self, directions: int = 36) -> list[tuple[Array, Edge]]:
+        """How far the hand can go straight without turning, in so many directions: (2,) m, and the limit."""
         here, begin, length = self.pushed.pose(self.state.q), self.state, float(self.pushed.problem.length)
         ends: list[tuple[Array, Edge]] = []
         for turn in np.arange(directions) * (2.0 * np.pi / directions):
-            way = np.array([math.cos(turn), math.sin(turn), 0.0])
-            self.state, gone, stride, limit = begin, 0.0, step * length, "stability"
-            while stride > 0.1 * step * length and gone < 2.0 * length:
-                before = self.state
-                said = self._whole_step(here + (gone + stride) * way)
-                if said is None:
-                    gone += stride
-                else:
-                    self.state, limit, stride = before, said, 0.5 * stride
-            ends.append((here[:2] + gone * way[:2], "force" if limit == "force" else "stability"))
+            self.state = begin
+            limit = self._led(here + 2.0 * length * np.array([math.cos(turn), math.sin(turn), 0.0]))
+            ends.append((self.pushed.pose(self.state.q)[:2], limit or "stability"))
         self.state = begin
         return ends
 
-    def _whole_step(self, pose: Array) -> Edge | None:
-        found = solve_goal(self.pushed, self.state, pose, 3, most=8, trust=_TRUST)
-        if not found.converged or stability_margin(self.pushed, found.state, held=True) <= 0.0:
-            return "stability"
-        if _size(found.state.load) > _OVER * self.max_force:
-            return "force"
-        self.state = found.state
-        return None
+    def _led(self, pose: Array) -> Edge | None:
+        """Leads the end straight towards a pose; the limit that it meets, or None."""
+        self._limit: Edge = "stability"
+        way = lead(self.pushed, self.state, pose, 3, self._allowed)
+        self.state = way.states[-1]
+        return None if way.arrived else self._limit
+
+    def _allowed(self, state: LoadedState) -> bool:
+        strong = _size(state.load) > _OVER * self.max_force
+        self._limit = "force" if strong else "stability"
+        return not strong and stability_margin(self.pushed, state, held=True) > 0.0
 
 
 def stability_margin(pushed: PushedBeam, state: LoadedState, *, held: bool = False) -> float:

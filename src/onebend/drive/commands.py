@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Annotated, Literal
@@ -24,52 +24,52 @@ from onebend.drive.virtual import VirtualRobot
 from onebend.errors import RecordingError
 from onebend.live.commands import StateView
 from onebend.live.recording_folder import copy_description
+from onebend.options import option
 from onebend.recording.entries import Recording
 from onebend.recording.folder import FILE_NAME, folder_of, read_recording
 
 Out = Annotated[Path, typer.Argument(metavar="DIR", help="Folder to record into; with recording.toml, or --like.")]
 Goal = Annotated[tuple[float, float] | None, typer.Option("--goal", metavar="X Y", help="m, in the beam's frame.")]
-Goals = Annotated[Path | None, typer.Option("--goals", metavar="CSV", help="Goals in time: time_s, x_m, y_m.")]
-Shape = Annotated[Path | None, typer.Option("--shape", metavar="CSV", help="A shape, as for `onebend shape`.")]
-CameraOption = Annotated[
-    str | None, typer.Option("--camera", metavar="SPEC", help="As `record`; ros2:DOMAIN,topic=/NAME.")
-]
-RobotOption = Annotated[
-    str | None, typer.Option("--robot", metavar="SPEC", help="ur:, franka:, ros2:, virtual:linear.")
-]
-ForceOption = Annotated[str | None, typer.Option("--force", metavar="SPEC", help="As `record`; default: the robot's.")]
-Like = Annotated[Path | None, typer.Option("--like", metavar="REC", help="A recording of this beam on this bench.")]
-PlaceBy = Annotated[
-    Literal["start", "push", "tag"],
-    typer.Option("--place", help="The robot's base, by: recording.toml's axes; the push, or a tool's tag, in --like."),
-]
-ToolTag = Annotated[int | None, typer.Option("--tool-tag", metavar="ID", min=0, help="On the tool, for --place tag.")]
-Go = Annotated[bool, typer.Option("--go", help="Move. Without it the plan is shown, and nothing else happens.")]
 Replace = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier recording in DIR.")]
 
 
+@dataclass(frozen=True)
+class DriveOptions:
+    """What is wanted, who moves and who sees."""
+
+    goals: Path | None = option("--goals", None, "Goals in time: time_s, x_m, y_m.", metavar="CSV")
+    shape: Path | None = option("--shape", None, "A shape, as for `onebend shape`.", metavar="CSV")
+    camera: str | None = option("--camera", None, "As `record`; ros2:DOMAIN,topic=/NAME.", metavar="SPEC")
+    robot: str | None = option("--robot", None, "ur:, franka:, ros2:, virtual:linear.", metavar="SPEC")
+    force: str | None = option("--force", None, "As `record`; default: the robot's.", metavar="SPEC")
+    like: Path | None = option("--like", None, "A recording of this beam on this bench.", metavar="REC")
+    place: Literal["start", "push", "tag"] = option(
+        "--place", "start", "The robot's base, by: recording.toml's axes; the push, or a tool's tag, in --like."
+    )
+    tool_tag: int | None = option("--tool-tag", None, "On the tool, for --place tag.", metavar="ID", within=(0, None))
+    go: bool = option("--go", False, "Move. Without it the plan is shown, and nothing else happens.")
+
+
 def drive(
-    model: common.Model, folder: Out, *, goal: Goal = None, goals: Goals = None, shape: Shape = None,
-    point: common.Point = 1.0, push_at: common.PushAt = 1.0, camera: CameraOption = None, robot: RobotOption = None,
-    force: ForceOption = None, like: Like = None, place: PlaceBy = "start", tool_tag: ToolTag = None,
-    settings: DriveSettings, go: Go = False, overwrite: Replace = False, as_json: common.Json = False,
+    model: common.Model, folder: Out, *, goal: Goal = None, asked: DriveOptions, point: common.Point = 1.0,
+    push_at: common.PushAt = 1.0, settings: DriveSettings, overwrite: Replace = False, as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:  # fmt: skip
     """Bend a learned beam to a goal with a robot and a camera: a plan first, and with --go the real loop, recorded."""
     with common.clean_errors(), common.progress_of(quiet or as_json) as progress:
         stored = read_trusted(model)
-        rec = _described(folder, like)
+        rec = _described(folder, asked.like)
         rec = replace(rec, push=None if rec.push is None else replace(rec.push, at=push_at))
         limits, gravity = plans.known_limits(stored, rec, settings.limits), plans.gravity_of(rec)
         wanted = plans.read_wanted(
-            plans.levelled(stored, rec, gravity), limits, goal=goal, goals=goals, targets=shape, push_s=push_at,
-            point_s=point, gravity=gravity,
+            plans.levelled(stored, rec, gravity), limits, goal=goal, goals=asked.goals, targets=asked.shape,
+            push_s=push_at, point_s=point, gravity=gravity,
         )  # fmt: skip
-        placement = _placement(rec, like, place, tool_tag)
+        placement = _placement(rec, asked.like, asked.place, asked.tool_tag)
         plan = plans.make_plan(
             stored, rec, wanted, placement, settings, push_s=push_at, point_s=point, progress=progress
         )
-        made = specs.robot_of(robot)(rec, settings) if robot is not None else None
+        made = specs.robot_of(asked.robot)(rec, settings) if asked.robot is not None else None
         if made is not None and settings.by not in made.can:
             raise RecordingError(f"--by {settings.by}: {made.name} cannot be asked for it. Take --by pose.")
     if not as_json:
@@ -78,7 +78,7 @@ def drive(
             table.add_row(what, Text(says))
         common.screen().print(table)
     with common.clean_errors():
-        if not go:
+        if not asked.go:
             if as_json:
                 common.print_json({"plan": plans.plan_data(plan), "moved": False})
             else:
@@ -86,12 +86,16 @@ def drive(
             return
         if made is None:
             raise RecordingError("--robot is missing: which one is to move? See docs/drive.md.")
-        if camera is None and not isinstance(made, VirtualRobot):
+        if asked.camera is None and not isinstance(made, VirtualRobot):
             raise RecordingError("--camera is missing: /dev/video0, or another of docs/record.md.")
-        if like is not None:
-            copy_description(like, folder)
-        eye = made.camera() if camera is None and isinstance(made, VirtualRobot) else specs.camera_of(str(camera))
-        sensor = None if force is None else specs.force_of(force)
+        if asked.like is not None:
+            copy_description(asked.like, folder)
+        eye = (
+            made.camera()
+            if asked.camera is None and isinstance(made, VirtualRobot)
+            else specs.camera_of(str(asked.camera))
+        )
+        sensor = None if asked.force is None else specs.force_of(asked.force)
         with (
             common.stopped_by_hand() as (stop, enter),
             StateView(

@@ -26,9 +26,9 @@ from onebend.recording.camera import measure_poses
 from onebend.recording.entries import ForceEntry, Recording, TagEntry
 from onebend.recording.observe import observe
 from onebend.recording.signals import from_clamp
+from onebend.recording.tables import read_columns
 from onebend.recording.tags import detect_tags
 from onebend.records import Array, Observations
-from onebend.text_files import csv_rows
 
 TILT_SD = math.radians(2.0)  # of the plane of bending against the plane of the log's two axes
 CONTACT_SD, ON_TOOL_SD = 0.003, 0.2  # m, of o: where the tool touches, and where a tag sits on it
@@ -186,19 +186,12 @@ def from_recording(rec: Recording, *, tool_tag: int | None = None) -> Placement:
 def _logged_poses(rec: Recording) -> tuple[Array, Array]:
     """(N,) s and (N, 6) of the robot's tool, from the columns that `record` writes."""
     assert rec.force is not None
-    lines = csv_rows(rec.force.file, RecordingError)
-    header = [name.strip() for name in next(lines, (1, []))[1]]
-    if missing := [name for name in TOOL if name not in header]:
-        raise RecordingError(
-            f"{rec.force.file} has no {', '.join(missing)}: the robot's pose was not recorded with the push. Record it "
-            "with --force ur:HOST or franka:HOST, or say --place start."
-        )
-    at = [header.index(name) for name in ("time_s", *TOOL)]
-    rows = [[float(row[i] or "nan") for i in at] for _, row in lines]
-    table = np.array(rows).reshape(-1, 7)
-    table = table[np.isfinite(table).all(axis=1)]
-    table[:, 4:] = np.unwrap(table[:, 4:], axis=0)
-    return table[:, 0], table[:, 1:]
+    advice = "Record the push with --force ur:HOST or franka:HOST, or say --place start."
+    table = read_columns(rec.force.file, ("time_s", *TOOL), kind="force log", advice=lambda _: advice)
+    poses = np.stack(list(table.numbers.values()), axis=1)
+    poses = poses[np.isfinite(poses).all(axis=1)]
+    poses[:, 4:] = np.unwrap(poses[:, 4:], axis=0)
+    return poses[:, 0], poses[:, 1:]
 
 
 def _pushed_points(made: Observations) -> tuple[Array, Array]:

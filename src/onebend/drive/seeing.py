@@ -17,6 +17,7 @@ from scipy.interpolate import CubicHermiteSpline
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution
 from onebend.control.loaded_beam import LoadedState, prepared, trace
+from onebend.control.reach_set import stability_margin
 from onebend.errors import ObservationError
 from onebend.live.history import FrameReader
 from onebend.recording.beam_frame import to_beam_frame
@@ -54,9 +55,7 @@ class BentModel:
     @property
     def margin(self) -> float:
         """The smallest eigenvalue of the scaled tangent: 1 without a force, 0 where the beam buckles."""
-        _, tangent, _, _ = self.pushed.balance(self.state.q, self.state.load)
-        scale = 1.0 / np.sqrt(self.pushed.stiff)
-        return float(np.linalg.eigvalsh(scale[:, None] * tangent * scale)[0])
+        return stability_margin(self.pushed, self.state)
 
     @property
     def curvature(self) -> float:

@@ -36,15 +36,7 @@ from .random_bench import FilmRequest as FilmRequest, filming_of as filming_of
 from .rehearsal import Obtained as Obtained, Rehearsal as Rehearsal, SimulatedRun as SimulatedRun, rehearse as rehearse
 from .rendering import Camera as Camera, Scene as Scene
 from .rod import RodMotion as RodMotion
-from .sheet import (
-    Fill as Fill,
-    Line as Line,
-    Page as Page,
-    Sheet as Sheet,
-    Text as Text,
-    tag_pages as tag_pages,
-    write_pages as write_pages,
-)
+from .sheet import Sheet as Sheet, tag_pages as tag_pages, write_pages as write_pages
 from .virtual import (
     DeclaredValues as DeclaredValues,
     TrueStiffness as TrueStiffness,

@@ -11,32 +11,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from onebend.errors import RecordingError
+from onebend.lab import filming, rendering
 from onebend.lab.bench import PushProfile
-from onebend.lab.filming import (
-    PLACES,
-    BeamPose,
-    Filming,
-    cast_of,
-    moment_of,
-    stage_of,
-    tag_faces,
-)
-from onebend.lab.rendering import (
-    BLACK,
-    BLURRED,
-    RANGE,
-    Camera,
-    Drawing,
-    Image,
-    StaticScene,
-    box_around,
-    clipped,
-    coverage,
-    grain_of,
-    seen_at,
-    view_from,
-    yuv,
-)
 from onebend.lab.virtual import VirtualBench
 from onebend.recording.entries import Recording
 from onebend.recording.video import Picture
@@ -57,19 +33,19 @@ class BenchCamera:
             raise RecordingError("a virtual camera needs a [camera] in recording.toml, to be the one that is described")
         middle = (entry.cx - (entry.width - 1) / 2, entry.cy - (entry.height - 1) / 2)
         dist: Any = tuple([*entry.dist, 0.0][:5])
-        camera = Camera(width=entry.width, height=entry.height, focal=entry.fx, centre=middle, dist=dist)
+        camera = rendering.Camera(width=entry.width, height=entry.height, focal=entry.fx, centre=middle, dist=dist)
         always = PushProfile(0.0, before=0.0, hold=1e9, after=0.0, at_s=bench.push.at_s)
-        self._filming = Filming(replace(bench, push=always), camera=camera, tag_size=rec.tags.size)
+        self._filming = filming.Filming(replace(bench, push=always), camera=camera, tag_size=rec.tags.size)
         self._filming = replace(self._filming, scene=replace(self._filming.scene, noise=noise, exposure=0.005))
         rng = np.random.default_rng([seed, 22])
-        self._cast = cast_of(self._filming, rng)
+        self._cast = filming.cast_of(self._filming, rng)
         bends = np.linspace(-sees, sees, 22)
         reach = _arcs(bench.beam.length, bends)
         wide = np.concatenate([reach + rec.tags.size, reach - rec.tags.size])
-        beam = np.zeros((len(bends), len(PLACES), 4))
+        beam = np.zeros((len(bends), len(filming.PLACES), 4))
         beam[..., :2] = reach.reshape(len(bends), -1, 2)
-        view = view_from(camera, wide)
-        self._staged: StaticScene = stage_of(self._filming, self._cast, view, beam, seed)
+        view = rendering.view_from(camera, wide)
+        self._staged: rendering.StaticScene = filming.stage_of(self._filming, self._cast, view, beam, seed)
         self._rng = rng
         lit = np.asarray(self._staged.table.y * self._staged.light)
         self._tables = [self._grey(lit) for _ in range(_TABLES)]
@@ -78,37 +54,43 @@ class BenchCamera:
         """(H, W) of the beam with poses (121, 3) at `PLACES` under `force` (2,) N.
 
         `faults`: "swapped", the last two tags; "hidden", the number of one that is covered."""
-        flat = np.zeros((1, len(PLACES)))
-        tags = tag_faces(self._filming, poses[None], flat, flat)[0]
+        flat = np.zeros((1, len(filming.PLACES)))
+        tags = filming.tag_faces(self._filming, poses[None], flat, flat)[0]
         if "swapped" in faults:
             tags[[-1, -2]] = tags[[-2, -1]]
         turn = math.atan2(force[1], force[0]) if float(np.hypot(*force)) > 1e-3 else 0.5 * math.pi
         cast = replace(self._cast, push=replace(self._cast.push, direction=turn, turn=0.0))
-        drawing = moment_of(cast, BeamPose(time, poses[:, :2], poses[:, 2], tags, flat[0], self._cast.push.at_s))
+        drawing = filming.moment_of(
+            cast, filming.BeamPose(time, poses[:, :2], poses[:, 2], tags, flat[0], self._cast.push.at_s)
+        )
         y = self._tables[int(self._rng.integers(_TABLES))].copy()
         self._draw(y, drawing)
         if "hidden" in faults:
             self._cover(y, tags[1 + int(faults["hidden"])])
         return y
 
-    def _grey(self, level: Image) -> Picture:
+    def _grey(self, level: rendering.Image) -> Picture:
         """Levels of 8 bit, with the sensor's noise."""
-        noise = grain_of(self._staged.grain, level.shape, self._rng) * np.float32(self._filming.scene.noise / 255.0)
-        grey = (level + noise) * np.float32(RANGE) + np.float32(BLACK + 0.5)
+        noise = rendering.grain_of(self._staged.grain, level.shape, self._rng) * np.float32(
+            self._filming.scene.noise / 255.0
+        )
+        grey = (level + noise) * np.float32(rendering.RANGE) + np.float32(rendering.BLACK + 0.5)
         return np.asarray(np.clip(grey, 0.0, 255.0).astype(np.uint8))
 
-    def _draw(self, y: Picture, drawing: Drawing) -> None:
+    def _draw(self, y: Picture, drawing: rendering.Drawing) -> None:
         """All that moves, into the part of the picture where it is."""
         staged, scope = self._staged, self._staged.scope
-        seen = [seen_at(staged.view, layer, drawing) for layer in drawing.layers]
+        seen = [rendering.seen_at(staged.view, layer, drawing) for layer in drawing.layers]
         around = np.concatenate([px.reshape(-1, 2) for px in seen])
-        here = clipped(box_around(around, scope.right, scope.bottom, 2.0 * BLURRED), scope)
+        here = rendering.clipped(
+            rendering.box_around(around, scope.right, scope.bottom, 2.0 * rendering.BLURRED), scope
+        )
         part = staged.table.y[here.slices].copy()
         for layer, px in zip(drawing.layers, seen, strict=True):
-            box = clipped(box_around(px, scope.right, scope.bottom), here)
+            box = rendering.clipped(rendering.box_around(px, scope.right, scope.bottom), here)
             if 0 not in box.shape:
                 where = part[box.within(here)]
-                where += coverage(px, box) * (np.float32(yuv(layer.colour)[0]) - where)
+                where += rendering.coverage(px, box) * (np.float32(rendering.yuv(layer.colour)[0]) - where)
         y[here.slices] = self._grey(gaussian_filter(part, staged.scene.blur, truncate=2.5) * staged.light[here.slices])
 
     def _cover(self, y: Picture, tag: Array) -> None:
@@ -126,5 +108,5 @@ _TABLES = 8  # pictures of the empty table, each with its own noise
 
 def _arcs(length: float, bends: Array) -> Array:
     """(N, 2) m of arcs of a beam of this length, bent by angles (B,) rad that are not zero."""
-    s, bend = PLACES[None, :], bends[:, None]
+    s, bend = filming.PLACES[None, :], bends[:, None]
     return length * np.stack([np.sin(bend * s) / bend, (1.0 - np.cos(bend * s)) / bend], axis=-1).reshape(-1, 2)

@@ -46,22 +46,22 @@ Design = Annotated[
 FilmFolder = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder to make; default: DESIGN-PUSH.")
 ]
-Effects = Annotated[
-    bool, typer.Option("--effects", help="Effects of real benches, drawn at random: stretch, relaxation ...")
-]
-Effect = Annotated[
-    list[str] | None,
-    typer.Option(
+
+
+@dataclass(frozen=True)
+class FilmOptions:
+    """What a film shows beside the push."""
+
+    effects: bool = option("--effects", False, "Effects of real benches, drawn at random: stretch, relaxation ...")
+    effect: tuple[str, ...] = option(
         "--effect",
+        (),
+        "One effect of a real bench with its size in SI units, as relaxation=0.1; may be repeated.",
         metavar="NAME=SIZE",
-        help="One effect of a real bench with its size in SI units, as relaxation=0.1; may be repeated.",
-    ),
-]
-Markers = Annotated[
-    bool,
-    typer.Option("--markers", help="Tracked markers instead of a film; takes a second. Slow pushes only."),
-]
-Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="The same seed makes the same files.")]
+    )
+    markers: bool = option("--markers", False, "Tracked markers instead of a film; takes a second. Slow pushes only.")
+    seed: int = option("--seed", 0, "The same seed makes the same files.", metavar="N", within=(0, None))
+
 
 FILM_FORMAT, DESIGN_FORMAT, TAGS_FORMAT = "onebend-film-1", "onebend-design-1", "onebend-tags-1"
 COLUMNS = ("s", "width_m", "EI_N_m2", "k_N_m", "mass_kg_m")  # of a design
@@ -74,35 +74,32 @@ def film(
     *,
     output: FilmFolder = None,
     request: FilmRequest,
-    effects: Effects = False,
-    effect: Effect = None,
-    markers: Markers = False,
-    seed: Seed = 0,
+    asked: FilmOptions,
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
     with common.clean_errors(), common.progress_of(quiet) as progress:
-        filming, folder = _filming(design, request, seed, output, effects)
-        if effect:
+        filming, folder = _filming(design, request, asked.seed, output, asked.effects)
+        if asked.effect:
             bench, patch = filming.bench, PATCH_OVER_TAG * filming.tag_size
-            before = bench.effects if effects else replace(bench.effects, patch_length=patch)
-            filming = replace(filming, bench=replace(bench, effects=effects_named(effect, before)))
+            before = bench.effects if asked.effects else replace(bench.effects, patch_length=patch)
+            filming = replace(filming, bench=replace(bench, effects=effects_named(asked.effect, before)))
         check(filming, folder)
-        if markers:
+        if asked.markers:
             check_trackable(filming)
 
         def make(folder: Path) -> None:
-            if markers:
-                marker_recording(filming.bench, folder, seed=seed)
+            if asked.markers:
+                marker_recording(filming.bench, folder, seed=asked.seed)
             else:
-                make_film(filming, folder, seed=seed, progress=progress)
+                make_film(filming, folder, seed=asked.seed, progress=progress)
 
         with common.workplace(folder, FILM_FORMAT, overwrite=False) as place:
             common.put_in_place(place, make)
     bench = filming.bench
     if as_json:
         data = {"length_m": bench.beam.length, "force_max_N": bench.push.peak, "video_seconds": bench.push.duration}
-        common.print_json({"format": FILM_FORMAT, "written_by": BY, "output": str(folder), "seed": seed, **data})
+        common.print_json({"format": FILM_FORMAT, "written_by": BY, "output": str(folder), "seed": asked.seed, **data})
         return
     common.say(
         f"Wrote {folder}: {bench.push.duration:.1f} s at {bench.fps:g} frames/s, a push to {bench.push.peak:.3g} N at "
@@ -172,28 +169,35 @@ DesignName = Annotated[
 NewDesign = Annotated[
     Path | None, typer.Option("--new", metavar="FILE", help="Write a design file to fill in, and nothing else.")
 ]
-Csv = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write s, width, EI, k and mass per metre.")]
-Picture = Annotated[Path | None, typer.Option("--picture", metavar="FILE", help="Write a picture (PNG).")]
-ModelFile = Annotated[
-    Path | None, typer.Option("--model", metavar="FILE", help="Write the designed beam as a model.json.")
-]
 StripOf = Annotated[
     Path | None, typer.Argument(metavar="[REC]", help="A recording: its tags, and a page with their places.")
 ]
-Ids = Annotated[str | None, typer.Option("--ids", metavar="IDS", help="Such as 0-4 or 0,3,7-9.")]
-TagsSize = Annotated[
-    float | None,
-    typer.Option("--size-mm", min=0.5, max=common.MOST, metavar="MM", help="Side of the black square; default: 12."),
-]
-TagFamily = Annotated[str | None, typer.Option("--family", metavar="FAMILY", help="Default: tag36h11.")]
-Rim = Annotated[
-    float, typer.Option("--rim-cells", min=1.0, max=common.MOST, metavar="N", help="White around the black square.")
-]
-Paper = Annotated[Literal["a4", "letter"], typer.Option("--page", help="Size of the paper.")]
-NoCuts = Annotated[bool, typer.Option("--no-cut-marks", help="Leave the cut marks out.")]
-NoLabels = Annotated[bool, typer.Option("--no-labels", help="Leave the numbers out.")]
 SheetFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="A .pdf, or one .svg per page.")]
 ReplaceFiles = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace files that are there.")]
+
+
+@dataclass(frozen=True)
+class DesignFiles:
+    """Files that a design is written to."""
+
+    csv: Path | None = option("--csv", None, "Write s, width, EI, k and mass per metre.", metavar="FILE")
+    picture: Path | None = option("--picture", None, "Write a picture (PNG).", metavar="FILE")
+    model: Path | None = option("--model", None, "Write the designed beam as a model.json.", metavar="FILE")
+
+
+@dataclass(frozen=True)
+class TagOptions:
+    """The tags of a sheet, and how it looks."""
+
+    ids: str | None = option("--ids", None, "Such as 0-4 or 0,3,7-9.", metavar="IDS")
+    size: float | None = option(
+        "--size-mm", None, "Side of the black square; default: 12.", metavar="MM", within=(0.5, common.MOST)
+    )
+    family: str | None = option("--family", None, "Default: tag36h11.", metavar="FAMILY")
+    rim: float = option("--rim-cells", 1.0, "White around the black square.", metavar="N", within=(1.0, common.MOST))
+    page: Literal["a4", "letter"] = option("--page", "a4", "Size of the paper.")
+    cut_marks: bool = option("--no-cut-marks", True, "Leave the cut marks out.")
+    labels: bool = option("--no-labels", True, "Leave the numbers out.")
 
 
 @dataclass(frozen=True)
@@ -230,9 +234,7 @@ def design(
     *,
     new: NewDesign = None,
     cast: Casting,
-    csv_file: Csv = None,
-    picture: Picture = None,
-    model: ModelFile = None,
+    files: DesignFiles,
     overwrite: ReplaceFiles = False,
     as_json: common.Json = False,
 ) -> None:
@@ -244,7 +246,7 @@ def design(
             raise MechanicsError("name a design: uniform, linear, quadratic, cubic, or a file (--new FILE writes one)")
         found = cast.of(designs.find_design(name))
         expected = designs.expect(found)
-        write_files(_design_files(found, csv_file, picture, model), overwrite=overwrite)
+        write_files(_design_files(found, files), overwrite=overwrite)
     common.answer(
         as_json,
         {"format": DESIGN_FORMAT, "written_by": BY, **expected.as_dict()},
@@ -256,31 +258,25 @@ def tags(
     recording: StripOf = None,
     *,
     output: SheetFile,
-    ids: Ids = None,
-    size: TagsSize = None,
-    family: TagFamily = None,
-    rim: Rim = 1.0,
-    page: Paper = "a4",
-    no_cut_marks: NoCuts = False,
-    no_labels: NoLabels = False,
+    asked: TagOptions,
     overwrite: ReplaceFiles = False,
     as_json: common.Json = False,
 ) -> None:
     with common.clean_errors():
         known = None if recording is None else read_recording(recording)
-        if (known is None) == (ids is None):
+        if (known is None) == (asked.ids is None):
             raise MechanicsError("say which tags: --ids 0-4, or a recording whose tags they are, not both")
-        if known is not None and (size is not None or family is not None):
+        if known is not None and (asked.size is not None or asked.family is not None):
             raise MechanicsError("the recording says the tags' size and family: leave --size-mm and --family out")
         if known is None:
-            numbers, side, named = parse_ids(ids or ""), 1e-3 * (size or 12.0), family or FAMILIES[0]
+            numbers, side, named = parse_ids(asked.ids or ""), asked.size or 0.012, asked.family or FAMILIES[0]
         else:
             numbers = tuple(tag.id for tag in (*known.tags.on_base, *known.tags.on_beam))
             side, named = known.tags.size, known.tags.family
-        sheet = Sheet(numbers, side, named, rim, page, not no_cut_marks, not no_labels)
+        sheet = Sheet(numbers, side, named, asked.rim, asked.page, asked.cut_marks, asked.labels)
         pages = tag_pages(sheet)
         if known is not None:
-            pages = (*pages, strip_page(known, page=page, rim=rim))
+            pages = (*pages, strip_page(known, page=asked.page, rim=asked.rim))
         written = files_of(output, pages, f"{named}, {1e3 * side:g} mm")
         write_files(written, overwrite=overwrite)
     if as_json:
@@ -311,15 +307,13 @@ def parse_ids(text: str) -> tuple[int, ...]:
     return tuple(found)
 
 
-def _design_files(
-    found: designs.Design, csv_file: Path | None, picture: Path | None, model: Path | None
-) -> dict[Path, str | bytes]:
+def _design_files(found: designs.Design, asked: DesignFiles) -> dict[Path, str | bytes]:
     files: dict[Path, str | bytes] = {}
-    if csv_file is not None:
-        files[csv_file] = design_csv(found)
-    files |= _picture(picture, partial(design_figure, found))
-    if model is not None:
-        files[model] = model_text(StoredModel(found.beam(), None, found.uncertain()), written_by=BY)
+    if asked.csv is not None:
+        files[asked.csv] = design_csv(found)
+    files |= _picture(asked.picture, partial(design_figure, found))
+    if asked.model is not None:
+        files[asked.model] = model_text(StoredModel(found.beam(), None, found.uncertain()), written_by=BY)
     return files
 
 

@@ -17,46 +17,16 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 
-from onebend.beam.continuation import equilibrium
 from onebend.beam.dynamics import Actions, AppliedForce, body
 from onebend.beam.integration import converged
-from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution
 from onebend.beam.stiffness import Profile, Scaled, Uniform
 from onebend.beam.vibration import settle
 from onebend.errors import MechanicsError, RecordingError
+from onebend.lab import rendering, virtual
 from onebend.lab.bench import PushProfile, RealBench, log_of, rest_curvature, smooth, turned
-from onebend.lab.designs import RESOLUTION
-from onebend.lab.rendering import (
-    Camera,
-    Colour,
-    ColourLayer,
-    Drawing,
-    Scene,
-    Shadow,
-    StaticScene,
-    YuvFrame,
-    calibration,
-    frame_of,
-    lifted,
-    placed_in_space,
-    stage,
-    view_from,
-)
 from onebend.lab.rod import RodMotion
-from onebend.lab.virtual import (
-    DENSE,
-    VirtualBench,
-    VirtualRecording,
-    declared_recording,
-    motion_of,
-    sensed,
-    tag_places,
-    tag_poses_on,
-    true_stiffness,
-    virtual_recording,
-)
 from onebend.progress import Progress, Silent, one_blas_thread, track
 from onebend.recording.bag_topics import BAG_KEYS
 from onebend.recording.camera import project
@@ -113,7 +83,10 @@ def shapes_at(
         raise MechanicsError("a beam without mass has neither weight nor inertia. Give it a mass per length")
     if not swings:
         force = pushing.force(time)
-        parts = [standing(beam, force[i : i + BATCH], pushing.at_s, gravity) for i in range(0, len(time), BATCH)]
+        parts = [
+            virtual.standing(beam, force[i : i + BATCH], pushing.at_s, PLACES, gravity)
+            for i in range(0, len(time), BATCH)
+        ]
         return np.concatenate(parts)
     moving = body(
         beam, rotary_inertia=rotary_inertia, damping=Scaled(damping, beam.stiffness), resolution=Resolution(ORDER)
@@ -127,24 +100,8 @@ def shapes_at(
     motion = converged(moving, start, until, actions, tolerance=TOLERANCE, step=STEP, at_s=(1 / 3, 2 / 3, 1.0))
     theta = motion.states_at(np.clip(time, 0.0, until))
     parts = [theta[i : i + BATCH] for i in range(0, len(theta), BATCH)]
-    return np.concatenate([joined(moving.xy(PLACES, part), moving.angle(PLACES, part)) for part in parts])
-
-
-def standing(beam: Beam, force: Array, at_s: float, gravity: tuple[float, float]) -> Array:
-    """Exact equilibria under forces (T, 2) N."""
-    loads = push(force, at_s)
-    if any(gravity):
-        loads = loads + weight(np.tile(gravity, (len(force), 1)))
-    solved = equilibrium(beam, loads, resolution=RESOLUTION)
-    if not np.all(solved.converged):
-        largest = float(np.max(np.linalg.norm(force, axis=1)))
-        raise MechanicsError(f"the beam snaps through under {largest:.3g} N or less. Give a smaller force")
-    return joined(solved.xy(PLACES), solved.angle(PLACES))
-
-
-def joined(xy: Array, angle: Array) -> Array:
-    """(..., 3) poses of places (..., 2) and angles (...)."""
-    return np.concatenate([xy, angle[..., None]], axis=-1)
+    poses = [(moving.xy(PLACES, part), moving.angle(PLACES, part)[..., None]) for part in parts]
+    return np.concatenate([np.concatenate(pose, axis=-1) for pose in poses])
 
 
 def between_places(poses: Array, s: Array) -> Array:
@@ -159,11 +116,11 @@ DOWN = -0.5 * pi  # rad, gravity in the room
 class Filming:
     """A bench and its film. The bench's own camera (pose noise) is not used."""
 
-    bench: VirtualBench
+    bench: virtual.VirtualBench
     width: Profile = field(default_factory=lambda: Uniform(0.014))  # m, of the drawn beam
     rotary_inertia: Profile = field(default_factory=lambda: Uniform(0.0))  # kg m; used if it swings
-    camera: Camera = field(default_factory=Camera)
-    scene: Scene = field(default_factory=Scene)
+    camera: rendering.Camera = field(default_factory=rendering.Camera)
+    scene: rendering.Scene = field(default_factory=rendering.Scene)
     swings: bool = False  # equation of motion instead of equilibria
     damping: float = 0.006  # s, internal damping over stiffness
     gravity: float = 0.0  # m/s^2, downwards in the picture; 0: across the plane of bending
@@ -268,7 +225,7 @@ CLAMP = (0.046, 0.05)  # m
 class MovingScene:
     """The unchanging shapes and colours of all that moves."""
 
-    scene: Scene
+    scene: rendering.Scene
     push: PushProfile
     half_width: Array  # (S,) m
     tags: tuple[TagOutlines, ...]  # m, as printed; base tag first
@@ -287,38 +244,44 @@ class BeamPose:
     contact: float  # s, the tool's place
 
 
-def clamp_block(scene: Scene, base_angle: float) -> Drawing:
+def clamp_block(scene: rendering.Scene, base_angle: float) -> rendering.Drawing:
     """The clamp block, which ends at the base."""
     length, width = CLAMP
     block = np.array([[-length, -width / 2], [0.004, -width / 2], [0.004, width / 2], [-length, width / 2]])
     inner = 0.92 * (block - block.mean(axis=0)) + block.mean(axis=0)
     pose = np.array([0.0, 0.0, base_angle])
     outer = placed(block, pose)
-    layers = [ColourLayer(outer, dimmed(scene.clamp, 0.8)), ColourLayer(placed(inner, pose), scene.clamp)]
-    return Drawing([Shadow(outer + SHADOW, soft=6.0)], layers)
+    layers = [
+        rendering.ColourLayer(outer, dimmed(scene.clamp, 0.8)),
+        rendering.ColourLayer(placed(inner, pose), scene.clamp),
+    ]
+    return rendering.Drawing([rendering.Shadow(outer + SHADOW, soft=6.0)], layers)
 
 
-def moment_of(cast: MovingScene, pose: BeamPose) -> Drawing:
+def moment_of(cast: MovingScene, pose: BeamPose) -> rendering.Drawing:
     scene, tool = cast.scene, tool_outline(cast, pose)
     above = scene.overlap > 0.0  # otherwise it pushes the flank, below the tags
-    layers = [] if above else [ColourLayer(tool, scene.tool)]
+    layers = [] if above else [rendering.ColourLayer(tool, scene.tool)]
     layers += [
-        ColourLayer(strip(part, share * width), dimmed(scene.beam, bright))
+        rendering.ColourLayer(strip(part, share * width), dimmed(scene.beam, bright))
         for share, bright in STRIPS
         for part, width in pieces(pose, cast.half_width)
     ]
     for tag, at in zip(cast.tags, pose.tags, strict=True):
-        layers.append(ColourLayer(placed_in_space(tag.paper, at), grey(scene.paper)))
-        layers.append(ColourLayer(placed_in_space(tag.ink, at), grey(scene.ink)))
+        layers.append(rendering.ColourLayer(rendering.placed_in_space(tag.paper, at), grey(scene.paper)))
+        layers.append(rendering.ColourLayer(rendering.placed_in_space(tag.ink, at), grey(scene.ink)))
     if above:
-        layers.append(ColourLayer(tool, scene.tool))
+        layers.append(rendering.ColourLayer(tool, scene.tool))
     if abs(pose.time - scene.hand_at) < HAND_TIME:
-        layers.append(ColourLayer(hand_outline(pose, scene.hand_at), scene.hand))
-    shadows = [Shadow(strip(pose, cast.half_width)[:, :2] + SHADOW), Shadow(tool + SHADOW, density=0.3)]
-    return Drawing(shadows, layers)
+        layers.append(rendering.ColourLayer(hand_outline(pose, scene.hand_at), scene.hand))
+    shadows = [
+        rendering.Shadow(strip(pose, cast.half_width)[:, :2] + SHADOW),
+        rendering.Shadow(tool + SHADOW, density=0.3),
+    ]
+    return rendering.Drawing(shadows, layers)
 
 
-def over_rows(drawings: Sequence[Drawing], shift: Array, rows: int) -> Drawing:
+def over_rows(drawings: Sequence[rendering.Drawing], shift: Array, rows: int) -> rendering.Drawing:
     """Merge drawings of the same things as exposed in the first, middle and last row.
 
     `shift` (3, 2) px: the camera's shift at these rows. A hand that appears or leaves meanwhile is as in the first.
@@ -328,7 +291,7 @@ def over_rows(drawings: Sequence[Drawing], shift: Array, rows: int) -> Drawing:
         later = []
     layers = [replace(one, late=tuple(d.layers[i].loops for d in later)) for i, one in enumerate(first.layers)]
     shadows = [replace(one, late=tuple(d.shadows[i].loops for d in later)) for i, one in enumerate(first.shadows)]
-    return Drawing(shadows, layers, shift, rows)
+    return rendering.Drawing(shadows, layers, shift, rows)
 
 
 def pieces(pose: BeamPose, half_width: Array) -> list[tuple[BeamPose, Array]]:
@@ -341,11 +304,11 @@ def pieces(pose: BeamPose, half_width: Array) -> list[tuple[BeamPose, Array]]:
     return out
 
 
-def grey(level: float) -> Colour:
+def grey(level: float) -> rendering.Colour:
     return (level, level, level)
 
 
-def dimmed(colour: Colour, share: float) -> Colour:
+def dimmed(colour: rendering.Colour, share: float) -> rendering.Colour:
     return (colour[0] * share, colour[1] * share, colour[2] * share)
 
 
@@ -353,7 +316,7 @@ def strip(pose: BeamPose, half_width: Array) -> Array:
     """Outline (2 S, 2) m, or (2 S, 3)."""
     left = half_width[:, None] * np.stack([-np.sin(pose.angle), np.cos(pose.angle)], axis=-1)
     outline = np.concatenate([pose.xy - left, (pose.xy + left)[::-1]])
-    return lifted(outline, np.concatenate([pose.height, pose.height[::-1]]))
+    return rendering.lifted(outline, np.concatenate([pose.height, pose.height[::-1]]))
 
 
 def tool_outline(cast: MovingScene, pose: BeamPose) -> Array:
@@ -433,7 +396,7 @@ PRESET = "veryfast"
 
 
 def write_video(
-    path: Path, frames: Iterable[tuple[float, YuvFrame]], size: tuple[int, int], fps: float, crf: int
+    path: Path, frames: Iterable[tuple[float, rendering.Picture]], size: tuple[int, int], fps: float, crf: int
 ) -> None:
     """Write frames (time [s], 8 bit planes) in order. Raises `RecordingError`: encoder missing or failing."""
     try:
@@ -452,7 +415,7 @@ def write_video(
         raise RecordingError(f"{path} cannot be encoded as H.264: {wrong.strerror}") from None
 
 
-def video_frame(picture: YuvFrame) -> av.VideoFrame:
+def video_frame(picture: rendering.Picture) -> av.VideoFrame:
     rows, columns = picture.y.shape
     stacked = np.concatenate([picture.y.ravel(), picture.u.ravel(), picture.v.ravel()])
     return av.VideoFrame.from_ndarray(stacked.reshape(rows * 3 // 2, columns), format="yuv420p")
@@ -541,7 +504,7 @@ class Filmed:
 
 def followed(filming: Filming, until: float) -> RodMotion | None:
     """The beam through the whole film if effects change its motion, else None."""
-    return motion_of(filming.bench, until, at=PLACES, gravity=gravity_of(filming))
+    return virtual.motion_of(filming.bench, until, at=PLACES, gravity=gravity_of(filming))
 
 
 def moments_at(filming: Filming, motion: RodMotion | None, time: Array) -> Filmed:
@@ -562,9 +525,9 @@ def moments_at(filming: Filming, motion: RodMotion | None, time: Array) -> Filme
 def tag_faces(filming: Filming, poses: Array, z: Array, slope: Array) -> Array:
     """(T, m + 1, 6) base tag and beam tags, clamp's frame: x, y, angle, z, tilts about and along it."""
     bench, count = filming.bench, len(poses)
-    effects, s = bench.effects, np.clip(tag_places(bench), 0.0, 1.0)
+    effects, s = bench.effects, np.clip(virtual.tag_places(bench), 0.0, 1.0)
     under = between_places(poses, s)
-    flat = tag_poses_on(bench, under[..., :2], under[..., 2])
+    flat = virtual.tag_poses_on(bench, under)
     heights = np.array(effects.tag_heights) if effects.tag_heights else np.zeros(len(s))
     tilts = np.array(effects.tag_tilts) if effects.tag_tilts else np.zeros((len(s), 2))
     up = np.stack([np.array([np.interp(s, PLACES, one) for one in of]) for of in (z, slope)], axis=-1)
@@ -606,7 +569,7 @@ def write_truth(folder: Path, made: FilmTruth) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     filming, shown = made.filming, made.shown
     beam = filming.bench.beam
-    truth = true_stiffness(filming.bench, made.motion, S)
+    truth = virtual.true_stiffness(filming.bench, made.motion, S)
     np.savez_compressed(
         folder / "truth.npz",
         s=S,
@@ -683,7 +646,7 @@ SHARPEST = 0.8  # least bend radius in half widths
 class Shot:
     """Data of all frames: three moments of each exposure, at its begin, middle and end."""
 
-    staged: StaticScene
+    staged: rendering.StaticScene
     cast: MovingScene
     # (3 T,) each: as the first, middle and last row is exposed; one if all rows are at once
     at_rows: tuple[Filmed, ...]
@@ -709,7 +672,7 @@ def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress 
     later = [moments_at(filming, motion, exposed + part * readout) for part in (0.5, 1.0)] if readout else []
     camera_moves = camera_motion(bench.effects, bench.push.duration, np.random.default_rng([seed, 13]))
     cast = cast_of(filming, np.random.default_rng([seed, 12]))
-    view = view_from(filming.camera, to_be_seen(cast, moments))
+    view = rendering.view_from(filming.camera, to_be_seen(cast, moments))
     staged = stage_of(filming, cast, view, moments.beam, seed)
     folder.mkdir(parents=True, exist_ok=True)
     shot = Shot(staged, cast, (moments, *later), camera_moves, readout)
@@ -746,7 +709,7 @@ def refuse_sharp_bends(filming: Filming, poses: Array) -> None:
 
 def cast_of(filming: Filming, rng: np.random.Generator) -> MovingScene:
     """Shapes and colours; each tag's position on the printer's dots is random."""
-    told = declared_recording(filming.bench).tags
+    told = virtual.declared_recording(filming.bench).tags
     ids = [tag.id for tag in (*told.on_base, *told.on_beam)]
     made = [outlines(tag, told.family) for tag in ids]
     dot = INCH / filming.scene.print_dpi if filming.scene.print_dpi > 0.0 else 0.0
@@ -768,20 +731,20 @@ def to_be_seen(cast: MovingScene, moments: Filmed) -> Array:
     return np.concatenate([*corners, moments.beam[::5, :, :2].reshape(-1, 2)])
 
 
-def stage_of(filming: Filming, cast: MovingScene, view: View, beam: Array, seed: int) -> StaticScene:
+def stage_of(filming: Filming, cast: MovingScene, view: View, beam: Array, seed: int) -> rendering.StaticScene:
     reach = 0.03 + float(np.max(cast.half_width)) + filming.tag_size
     xy = beam[:: max(1, len(beam) // 100), :, :2].reshape(-1, 2)
     corners = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * reach
     moving = (xy[:, None] + corners).reshape(-1, 2)
     still = clamp_block(filming.scene, filming.base_angle)
-    return stage(filming.scene, view, (filming.camera.width, filming.camera.height), still, moving, seed)
+    return rendering.stage(filming.scene, view, (filming.camera.width, filming.camera.height), still, moving, seed)
 
 
-def pictures(shot: Shot, time: Array, rng: np.random.Generator) -> Iterator[tuple[float, YuvFrame]]:
+def pictures(shot: Shot, time: Array, rng: np.random.Generator) -> Iterator[tuple[float, rendering.Picture]]:
     for i, now in enumerate(time.tolist()):
         part = slice(3 * i, 3 * i + 3)
         exposure = replace(shot, at_rows=tuple(one.part(part) for one in shot.at_rows))
-        yield now, frame_of(shot.staged, [drawn(exposure, now, u) for u in moments_of(exposure)], now, rng)
+        yield now, rendering.frame_of(shot.staged, [drawn(exposure, now, u) for u in moments_of(exposure)], now, rng)
 
 
 def moments_of(shot: Shot) -> list[float]:
@@ -793,12 +756,12 @@ def moments_of(shot: Shot) -> list[float]:
     return [(2.0 * i + 1.0) / count - 1.0 for i in range(count)]
 
 
-def drawn(shot: Shot, time: float, u: float) -> Drawing:
+def drawn(shot: Shot, time: float, u: float) -> rendering.Drawing:
     """The drawing at moment `u` of an exposure, by a parabola through its begin, middle and end."""
     weights = np.array([0.5 * u * (u - 1.0), 1.0 - u * u, 0.5 * u * (u + 1.0)])
     now = time + 0.5 * u * shot.cast.scene.exposure
 
-    def at(moments: Filmed, when: float) -> Drawing:
+    def at(moments: Filmed, when: float) -> rendering.Drawing:
         beam, tags = np.tensordot(weights, moments.beam, 1), np.tensordot(weights, moments.tags, 1)
         contact = float(weights @ moments.contact)
         return moment_of(shot.cast, BeamPose(when, beam[:, :2], beam[:, 2], tags, beam[:, 3], contact))
@@ -813,18 +776,18 @@ def drawn(shot: Shot, time: float, u: float) -> Drawing:
 def force_log(filming: Filming, motion: RodMotion | None, rng: np.random.Generator) -> tuple[ForceLog, ForceLog]:
     """The sensor's log and the true force on its clock, both in the log's axes and sign."""
     bench, margin = filming.bench, filming.log_before
-    step = min(DENSE, 0.5 / bench.sensor.rate)
+    step = min(virtual.DENSE, 0.5 / bench.sensor.rate)
     dense = np.arange(-margin, bench.push.duration + margin, step)
     acts_on = "robot" if filming.log_of_robot else "beam"
     force = in_log_axes(bench.push.force(dense), filming.log_rotation, acts_on)
-    felt = in_log_axes(sensed(bench, dense, motion), filming.log_rotation, acts_on)
+    felt = in_log_axes(virtual.sensed(bench, dense, motion), filming.log_rotation, acts_on)
     log = log_of(bench.sensor, dense, felt, rng, offset=bench.clock.offset)
     clean = np.stack([np.interp(log.time - bench.clock.offset, dense, column) for column in force.T], axis=1)
     return log, ForceLog(log.time, clean)
 
 
 def entries(filming: Filming, folder: Path) -> Recording:
-    bench, told = filming.bench, declared_recording(filming.bench)
+    bench, told = filming.bench, virtual.declared_recording(filming.bench)
     assert told.video is not None
     assert told.force is not None
     mass = nan
@@ -835,7 +798,7 @@ def entries(filming: Filming, folder: Path) -> Recording:
         folder=folder,
         beam=BeamEntry(length=told.beam.length, mass=mass, rest=told.beam.rest),
         tags=replace(told.tags, size=filming.tag_size),
-        camera=calibration(filming.camera) if filming.calibrated else None,
+        camera=rendering.calibration(filming.camera) if filming.calibrated else None,
         video=replace(told.video, file=folder / "video.mp4", fps=bench.fps),
         force=ForceEntry(
             file=folder / "force.csv",
@@ -863,7 +826,7 @@ def check_trackable(filming: Filming) -> None:
             raise RecordingError(f"{what} is filmed, not given as markers. Leave out the markers, or take a slow push.")
 
 
-def marker_recording(bench: VirtualBench, folder: Path | str, *, seed: int) -> Path:
+def marker_recording(bench: virtual.VirtualBench, folder: Path | str, *, seed: int) -> Path:
     """Push the bench's beam; write `recording.toml`, `markers.csv`, `force.csv` and `truth/`, as from motion capture.
 
     Returns the folder. Equal seeds give equal files. Raises `MechanicsError`: snap-through. Raises `RecordingError`:
@@ -872,7 +835,7 @@ def marker_recording(bench: VirtualBench, folder: Path | str, *, seed: int) -> P
     folder = Path(folder)
     if (folder / FILE_NAME).exists():
         raise RecordingError(f"{folder} holds a recording. Name another folder.")
-    made = virtual_recording(bench, seed=seed)
+    made = virtual.virtual_recording(bench, seed=seed)
     folder.mkdir(parents=True, exist_ok=True)
     _write_tracks(folder / TABLE, made)
     write_log(folder / "force.csv", made.log)
@@ -900,7 +863,7 @@ def marker_recording(bench: VirtualBench, folder: Path | str, *, seed: int) -> P
     return folder
 
 
-def _write_tracks(path: Path, made: VirtualRecording) -> None:
+def _write_tracks(path: Path, made: virtual.VirtualRecording) -> None:
     """`time_s, id, x_m, y_m, angle_rad`, one row per visible marker."""
     seen = made.markers
     lines = ["time_s,id,x_m,y_m,angle_rad"]
@@ -912,10 +875,10 @@ def _write_tracks(path: Path, made: VirtualRecording) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _write_truth(folder: Path, made: VirtualRecording, seed: int) -> None:
+def _write_truth(folder: Path, made: virtual.VirtualRecording, seed: int) -> None:
     """`truth.npz` with s and k [N m], and `truth.json`; for comparison only."""
     folder.mkdir(exist_ok=True)
-    truth = true_stiffness(made.bench, made.motion, TRUTH_PLACES)
+    truth = virtual.true_stiffness(made.bench, made.motion, TRUTH_PLACES)
     length = made.bench.beam.length
     np.savez_compressed(folder / "truth.npz", s=TRUTH_PLACES, k=truth.k, EI=truth.k * length)
     facts = {"length_m": length, "force_max_N": made.bench.push.peak, "seed": seed}

@@ -26,20 +26,7 @@ from onebend.lab.designs import find_design
 from onebend.lab.random_bench import SENSORS, SWINGING, FilmRequest, SensorName, camera_of, push_of
 from onebend.lab.rendering import Camera, check_name, view_from
 from onebend.lab.virtual import LOG_BEFORE, VirtualBench, VirtualTag, tag_poses
-from onebend.learning.design import (
-    PLACES,
-    Limits,
-    Quality,
-    TagDerivatives,
-    alone,
-    eliminate,
-    joint_information,
-    largest_pushes,
-    mass_of,
-    quality_of,
-    solve_push,
-    tag_derivatives,
-)
+from onebend.learning import design as planning
 from onebend.learning.instruments import ForceDoubt, Instruments, PlannedPush
 from onebend.learning.normal import Draws, InformationForm, stiffness_mixture
 from onebend.learning.optimizer import FitSettings
@@ -342,7 +329,7 @@ def _seconds(push: PushProfile) -> float:
 
 
 SPLINE = Spline(FUNCTIONS)
-BASIS = SPLINE.basis(PLACES)
+BASIS = SPLINE.basis(planning.PLACES)
 _KNOWN_SHARE = 1e-3  # share of its sd left of a known nuisance
 _DRAWS = Draws(chains=36, burn=150, kept=100)  # of the prior's sizes: the band's sd is good to about 3 %
 
@@ -357,7 +344,7 @@ class PredictedBand:
     scatter: Array  # of the estimate between recordings
     bias: Array  # of the estimate, from the prior
     prior: Array  # (p, p) precision of the equivalent normal prior
-    quality: Quality
+    quality: planning.Quality
 
     @property
     def identified(self) -> BoolArray:
@@ -421,29 +408,29 @@ def known_exactly(bench: Instruments) -> dict[str, Instruments]:
     return {name: replace(bench, **one) for name, one in better.items() if name not in absent}
 
 
-def derivatives(setup: Setup, bench: Instruments) -> tuple[TagDerivatives, ...]:
+def derivatives(setup: Setup, bench: Instruments) -> tuple[planning.TagDerivatives, ...]:
     """Derivatives of the tags' poses along every push with all unknowns."""
-    mass, out = mass_of(setup.beam), []
+    mass, out = planning.mass_of(setup.beam), []
     for push in setup.pushes:
-        solved = solve_push(setup.beam, bench, even_push(push))
+        solved = planning.solve_push(setup.beam, bench, even_push(push))
         on_nodes = SPLINE.basis(solved.problem.grid.nodes)
-        out.append(tag_derivatives(solved, bench, even_push(push), mass, on_nodes, np.asarray(bench.tags)))
+        out.append(planning.tag_derivatives(solved, bench, even_push(push), mass, on_nodes, np.asarray(bench.tags)))
     return tuple(out)
 
 
-def information_of(setup: Setup, bench: Instruments, along_pushes: tuple[TagDerivatives, ...]) -> Array:
+def information_of(setup: Setup, bench: Instruments, along_pushes: tuple[planning.TagDerivatives, ...]) -> Array:
     """(p, p) information of all pushes on the coefficients of log k; they share tags and rest shape."""
     chosen = np.arange(len(bench.tags), dtype=np.int64)
     joint = sum(
-        joint_information(along_push, bench, even_push(push), chosen)
+        planning.joint_information(along_push, bench, even_push(push), chosen)
         for along_push, push in zip(along_pushes, setup.pushes, strict=True)
     )
-    return eliminate(np.asarray(joint), bench.shared_size, alone(bench))
+    return planning.eliminate(np.asarray(joint), bench.shared_size, planning.alone(bench))
 
 
 def posterior_of(setup: Setup, bench: Instruments, information: Array) -> PredictedBand:
     """The posterior for noise-free data with this information (p, p)."""
-    k = np.asarray(setup.beam.stiffness(PLACES))
+    k = np.asarray(setup.beam.stiffness(planning.PLACES))
     truth = np.linalg.lstsq(BASIS, np.log(k), rcond=None)[0]
     posterior = stiffness_mixture(
         SPLINE, [InformationForm(information, information @ truth)], float(np.mean(np.log(k))), _DRAWS
@@ -475,7 +462,7 @@ def _band(k: Array, bias: Array, prior: Array, information: Array, gain_sd: floa
     own_sd = _sd_along(covariance)
     sd = np.hypot(own_sd, gain_sd)
     scatter = np.hypot(_sd_along(np.asarray(covariance @ information @ covariance)), gain_sd)
-    return PredictedBand(k, sd, own_sd, scatter, bias, prior, quality_of(sd, own_sd))
+    return PredictedBand(k, sd, own_sd, scatter, bias, prior, planning.quality_of(sd, own_sd))
 
 
 def _sd_along(covariance: Array) -> Array:
@@ -485,13 +472,13 @@ def _sd_along(covariance: Array) -> Array:
 
 def ranges(known: BoolArray) -> list[tuple[float, float]]:
     """Ranges of s where `known` (101,) holds."""
-    return [(float(PLACES[first]), float(PLACES[end - 1])) for first, end in runs(known)]
+    return [(float(planning.PLACES[first]), float(planning.PLACES[end - 1])) for first, end in runs(known)]
 
 
 AT_S = (0.5, 0.65, 0.8, 1.0)
 DIRECTIONS_DEG = (70.0, 100.0, 130.0)
 SIZES = (1.0, 0.6)  # of the largest force within the limits
-LIMITS = Limits()  # tip turn at most 90 deg; bending at most 1.25 times the planned one
+LIMITS = planning.Limits()  # tip turn at most 90 deg; bending at most 1.25 times the planned one
 BETTER = 5.0  # factor of improvement of a placement or sensor
 GAIN_SD = 0.01  # after calibration with a weight
 SYNCHRONISED = 0.005  # s
@@ -508,7 +495,7 @@ class SetupChange:
     kind: str  # tag, push, second push, gain, sensor, placement, clock, camera
     text: str
     setup: Setup
-    quality: Quality
+    quality: planning.Quality
     share: float  # reduction of the band's mean width; negative: growth
 
     def as_dict(self) -> dict[str, object]:
@@ -556,7 +543,7 @@ def _pushes(setup: Setup) -> Iterator[Candidate]:
     bench = replace(instruments(setup), curvature=sharpest(setup))
     places = tuple(s for s in AT_S if s >= min(setup.tags))
     side = 1.0 if np.sin(first.direction) >= 0.0 else -1.0
-    for reach in largest_pushes(setup.beam, bench, places, side * np.deg2rad(DIRECTIONS_DEG), LIMITS):
+    for reach in planning.largest_pushes(setup.beam, bench, places, side * np.deg2rad(DIRECTIONS_DEG), LIMITS):
         for size in SIZES if not reach.why_not else ():
             push = replace(first, at_s=reach.at_s, direction=reach.direction, peak=size * reach.largest)
             words = f"at s = {push.at_s:.2f}, {direction_words(push.direction)}, to {push.peak:.2g} N"
@@ -572,7 +559,7 @@ def sharpest(setup: Setup) -> float:
     """rad: largest |q - q0| of the planned pushes."""
     bench, bent = instruments(setup), []
     for push in setup.pushes:
-        solved = solve_push(setup.beam, bench, even_push(push))
+        solved = planning.solve_push(setup.beam, bench, even_push(push))
         bent.append(float(np.max(np.abs(solved.q - solved.problem.q0))))
     return max(bent)
 

@@ -186,53 +186,43 @@ SHARED = Only(("push", "bend", "seconds", "camera", "fps", "tilt", "distance", "
 Rehearsed = Annotated[
     str, typer.Argument(metavar="DESIGN", help="A named design, a design.toml, or a learned model.json.")
 ]
-TagPlaces = Annotated[
-    str | None,
-    typer.Option("--tags", metavar="S,S,...", help="Places of the tags; default: thirds, or the model's."),
-]
-PushesAt = Annotated[
-    list[float] | None,
-    typer.Option("--push-at", min=0.05, max=1.0, metavar="S", help="Place of the push; once per push."),
-]
-Forces = Annotated[
-    list[float] | None,
-    typer.Option("--force-N", metavar="N", help="Largest force; default: from --bend-deg. One, or one per push."),
-]
-Directions = Annotated[
-    list[float] | None,
-    typer.Option(
-        "--direction-deg", metavar="DEG", help="Against the beam's x axis; default: 100. One, or one per push."
-    ),
-]
-Runs = Annotated[
-    int, typer.Option(min=0, max=10_000, metavar="N", help="Number of simulated recordings; 0: only the prediction.")
-]
-Jobs = Annotated[
-    int | None, typer.Option(min=1, max=1024, metavar="N", help="Number of processes; default: all cores.")
-]
-Advices = Annotated[int, typer.Option("--count", min=0, metavar="N", help="Number of changes to list.")]
 RehearsalFolder = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for figure, table and JSON.")
 ]
-RunSeed = Annotated[
-    int, typer.Option("--seed", min=0, metavar="N", help="Seed of the first run; the next ones count up.")
-]
+
+
+@dataclass(frozen=True)
+class RehearseOptions:
+    """The pushes and tags of a rehearsal, and how often it is simulated."""
+
+    tags: str | None = option("--tags", None, "Places of the tags; default: thirds, or the model's.", metavar="S,S,...")
+    at: tuple[float, ...] = option(
+        "--push-at", (), "Place of the push; once per push.", metavar="S", within=(0.05, 1.0)
+    )
+    force: tuple[float, ...] = option(
+        "--force-N", (), "Largest force; default: from --bend-deg. One, or one per push.", metavar="N"
+    )
+    direction: tuple[float, ...] = option(
+        "--direction-deg",
+        (),
+        "Against the beam's x axis; default: 100. One, or one per push.",
+        metavar="DEG",
+    )
+    runs: int = option(
+        "--runs", 24, "Number of simulated recordings; 0: only the prediction.", metavar="N", within=(0, 10_000)
+    )
+    seed: int = option("--seed", 0, "Seed of the first run; the next ones count up.", metavar="N", within=(0, None))
+    jobs: int | None = option("--jobs", None, "Number of processes; default: all cores.", metavar="N", within=(1, 1024))
+    count: int = option("--count", 8, "Number of changes to list.", metavar="N", within=(0, None))
 
 
 def rehearse(
     design: Rehearsed,
     *,
     output: RehearsalFolder = None,
-    tags: TagPlaces = None,
-    push_at: PushesAt = None,
-    force: Forces = None,
-    direction: Directions = None,
+    asked: RehearseOptions,
     push: Annotated[FilmRequest, SHARED],
     known_to: Tolerances,
-    runs: Runs = 24,
-    seed: RunSeed = 0,
-    jobs: Jobs = None,
-    count: Advices = 8,
     overwrite: common.Overwrite = False,
     as_json: common.Json = False,
     quiet: common.Quiet = False,
@@ -240,14 +230,14 @@ def rehearse(
     with common.clean_errors():
         setup = setup_of(
             known_beam(design),
-            wishes_of(push, push_at or [], force or [], direction or []),
-            tags=places_of(tags),
+            wishes_of(push, asked.at, asked.force, asked.direction),
+            tags=places_of(asked.tags),
             known_to=known_to,
         )
         with common.place_for(output, REHEARSE_FORMAT, overwrite) as place, common.progress_of(quiet) as progress:
             inputs = () if place is None else inputs_of([Path(design)])
-            settings = {"runs": runs, "seed": seed, "jobs": jobs or available_cores(), "count": count}
-            found = make_rehearsal(setup, **settings, progress=progress)
+            runs = {"runs": asked.runs, "seed": asked.seed, "jobs": asked.jobs or available_cores()}
+            found = make_rehearsal(setup, **runs, count=asked.count, progress=progress)
             if place is not None:
                 pictures = draw({"rehearsal": partial(rehearsal_figure, found)})
                 whole = {**summary_of(found, written_by=BY), "runs": [run.as_dict() for run in found.runs]}
@@ -260,7 +250,9 @@ def rehearse(
         common.say(f"\nWrote {output}: rehearsal.png, rehearsal.csv, summary.json.")
 
 
-def wishes_of(first: FilmRequest, at: list[float], force: list[float], direction: list[float]) -> list[FilmRequest]:
+def wishes_of(
+    first: FilmRequest, at: Sequence[float], force: Sequence[float], direction: Sequence[float]
+) -> list[FilmRequest]:
     """One request per push. Raises `RecordingError`: counts do not match, or invalid place or force."""
     given = {"--push-at": at, "--force-N": force, "--direction-deg": direction}
     count = max(1, *map(len, given.values()))
@@ -273,7 +265,7 @@ def wishes_of(first: FilmRequest, at: list[float], force: list[float], direction
         if not 0.0 < s <= 1.0:
             raise RecordingError(f"--push-at {s:g} is not on the beam: give a place in (0, 1]")
 
-    def pick(values: list[float], i: int) -> float:
+    def pick(values: Sequence[float], i: int) -> float:
         return values[min(i, len(values) - 1)] if values else math.nan
 
     return [

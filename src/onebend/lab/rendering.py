@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import inf, isfinite, nan
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from onebend.records import Array, View
 # show no seam.
 
 Image = NDArray[np.float32]
+Plane = NDArray[Any]  # float32 or uint8
 LINES = 8  # per row of pixels
 
 
@@ -151,14 +152,14 @@ class Scene:
 
 @dataclass(frozen=True)
 class Picture:
-    """Brightness (H, W), and two colour differences at half the size."""
+    """Brightness (H, W), and two colour differences at half the size; levels from 0 to 1, or bytes of a film."""
 
-    y: Image
-    u: Image
-    v: Image
+    y: Plane
+    u: Plane
+    v: Plane
 
     @property
-    def planes(self) -> tuple[Image, Image, Image]:
+    def planes(self) -> tuple[Plane, Plane, Plane]:
         return self.y, self.u, self.v
 
     def copy(self) -> Picture:
@@ -400,7 +401,6 @@ def rolled(at: Array, rows: int) -> Array:
     return np.asarray(seen)
 
 
-Bytes = NDArray[np.uint8]
 BLURRED = 4  # px of blur beyond what moves
 BLACK, RANGE = 16.0, 219.0  # luma of a video
 GREY, COLOUR_RANGE = 128.0, 224.0  # of its colour differences
@@ -435,15 +435,6 @@ class Drawing:
     layers: list[ColourLayer]
     shift: Array = field(default_factory=lambda: np.zeros((3, 2)))  # px, at the first, middle and last row
     rows: int = 1  # of the picture
-
-
-@dataclass(frozen=True)
-class YuvFrame:
-    """Luma (H, W) and two chroma planes at half the size."""
-
-    y: Bytes
-    u: Bytes
-    v: Bytes
 
 
 @dataclass(frozen=True)
@@ -514,7 +505,7 @@ def clipped(box: PixelBox, scope: PixelBox) -> PixelBox:
     return PixelBox(left, top, max(min(box.right, scope.right), left), max(min(box.bottom, scope.bottom), top))
 
 
-def frame_of(staged: StaticScene, moments: list[Drawing], time: float, rng: np.random.Generator) -> YuvFrame:
+def frame_of(staged: StaticScene, moments: list[Drawing], time: float, rng: np.random.Generator) -> Picture:
     """The frame around `time` [s] as 8 bit planes: mean over `moments` of its exposure, light, blur and noise.
 
     Shadows are those of the middle moment.
@@ -549,7 +540,7 @@ def shifted(table: Picture, by: Array) -> Picture:
     return Picture(*moved)
 
 
-def exposed(staged: StaticScene, seen: Picture, strength: np.float32, rng: np.random.Generator) -> YuvFrame:
+def exposed(staged: StaticScene, seen: Picture, strength: np.float32, rng: np.random.Generator) -> Picture:
     """8 bit planes with light, noise and rounding; overwrites `seen`. The noise is cut from one large field."""
     scene = staged.scene
     size = np.float32(scene.noise / 255.0)
@@ -571,7 +562,7 @@ def exposed(staged: StaticScene, seen: Picture, strength: np.float32, rng: np.ra
         level *= np.float32(span)
         level += np.float32(low + 0.5)
         out.append(np.clip(level, 0.0, 255.0, out=level).astype(np.uint8))
-    return YuvFrame(out[0], out[1], out[2])
+    return Picture(out[0], out[1], out[2])
 
 
 def grain_of(field: Image, shape: tuple[int, int], rng: np.random.Generator) -> Image:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Literal
 
@@ -26,46 +26,41 @@ from onebend.recording.entries import FAMILIES, Recording, TagEntry
 from onebend.recording.tag_finder import PrintedTag, printed_tag
 from onebend.records import Array
 
-# Pages: a few kinds of marks in mm from the upper left corner, as PDF or SVG.
+# Pages, drawn in mm from the upper left corner, as PDF or SVG.
 
 INCH, POINT = 25.4, 25.4 / 72.0  # mm
 PAGES = {"a4": (210.0, 297.0), "letter": (215.9, 279.4)}  # mm, upright
 SUFFIXES = (".pdf", ".svg")
+Place = tuple[float, float]  # mm
 
 
-@dataclass(frozen=True)
-class Fill:
-    """Black polygons filled as one, so that no seam shows."""
-
-    polygons: Array  # (n, c, 2) mm
-
-
-@dataclass(frozen=True)
-class Line:
-    start: tuple[float, float]  # mm
-    end: tuple[float, float]  # mm
-    width: float = 0.15  # mm
+def blank_page(width: float, height: float) -> Figure:
+    """An empty page of this size [mm]."""
+    figure = Figure(figsize=(width / INCH, height / INCH))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set(xlim=(0.0, width), ylim=(height, 0.0))
+    axes.set_axis_off()
+    return figure
 
 
-@dataclass(frozen=True)
-class Text:
-    at: tuple[float, float]  # mm, on the baseline
-    text: str
-    height: float = 2.5  # mm, font
-    anchor: Literal["start", "middle"] = "start"
+def _fill(page: Figure, polygons: Array) -> None:
+    """Black polygons (n, c, 2) mm, filled as one, so that no seam shows."""
+    outline = Outline.make_compound_path_from_polys(polygons)
+    page.axes[0].add_patch(PathPatch(outline, facecolor="black", linewidth=0.0))
 
 
-Mark = Fill | Line | Text
+def _line(page: Figure, start: Place, end: Place, width: float = 0.15) -> None:
+    """`width`: mm."""
+    x, y = zip(start, end, strict=True)
+    page.axes[0].add_line(Line2D(x, y, linewidth=width / POINT, color="black", solid_capstyle="butt"))
 
 
-@dataclass(frozen=True)
-class Page:
-    width: float  # mm
-    height: float  # mm
-    marks: tuple[Mark, ...]
+def _text(page: Figure, at: Place, text: str, height: float = 2.5, align: Literal["left", "center"] = "left") -> None:
+    """`at`: on the baseline; `height` of the font: mm."""
+    page.axes[0].text(*at, text, fontsize=height / POINT, ha=align, va="baseline", parse_math=False)
 
 
-def write_pages(path: Path | str, pages: Sequence[Page], title: str) -> tuple[Path, ...]:
+def write_pages(path: Path | str, pages: Sequence[Figure], title: str) -> tuple[Path, ...]:
     """Write the files of `files_of`; returns their paths. Raises `OSError`: a file cannot be written."""
     files = files_of(path, pages, title)
     for one, data in files.items():
@@ -73,7 +68,7 @@ def write_pages(path: Path | str, pages: Sequence[Page], title: str) -> tuple[Pa
     return tuple(files)
 
 
-def files_of(path: Path | str, pages: Sequence[Page], title: str) -> dict[Path, bytes]:
+def files_of(path: Path | str, pages: Sequence[Figure], title: str) -> dict[Path, bytes]:
     """Contents of one PDF, or of one SVG per page (`name.svg`, `name-2.svg`, ...), by path. Equal pages give equal
     bytes. Raises `MechanicsError`: another file ending."""
     path, metadata = Path(path), {"Title": title, "Creator": "onebend"}
@@ -86,33 +81,14 @@ def files_of(path: Path | str, pages: Sequence[Page], title: str) -> dict[Path, 
         stream = BytesIO()
         with PdfPages(stream, metadata={**metadata, "CreationDate": None}) as document:
             for page in pages:
-                document.savefig(figure_of(page))
+                document.savefig(page)
         return {path: stream.getvalue()}
 
 
-def _svg(page: Page, metadata: dict[str, str]) -> bytes:
+def _svg(page: Figure, metadata: dict[str, str]) -> bytes:
     stream = BytesIO()
-    figure_of(page).savefig(stream, format="svg", metadata={**metadata, "Date": None})
+    page.savefig(stream, format="svg", metadata={**metadata, "Date": None})
     return stream.getvalue()
-
-
-def figure_of(page: Page) -> Figure:
-    """Marks at their size."""
-    figure = Figure(figsize=(page.width / INCH, page.height / INCH))
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.set(xlim=(0.0, page.width), ylim=(page.height, 0.0))
-    axes.set_axis_off()
-    for mark in page.marks:
-        if isinstance(mark, Fill):
-            outline = Outline.make_compound_path_from_polys(mark.polygons)
-            axes.add_patch(PathPatch(outline, facecolor="black", linewidth=0.0))
-        elif isinstance(mark, Line):
-            x, y = zip(mark.start, mark.end, strict=True)
-            axes.add_line(Line2D(x, y, linewidth=mark.width / POINT, color="black", solid_capstyle="butt"))
-        else:
-            side, size = "center" if mark.anchor == "middle" else "left", mark.height / POINT
-            axes.text(*mark.at, mark.text, fontsize=size, ha=side, va="baseline", parse_math=False)
-    return figure
 
 
 LEFT, RIGHT, TOP, BOTTOM = 20.0, 10.0, 24.0, 28.0  # mm around the tags; rulers to the left and below
@@ -150,7 +126,7 @@ class Sheet:
         return 1e3 * self.size / tag.border * max(len(tag.cells), tag.border + 2.0 * self.rim)
 
 
-def tag_pages(sheet: Sheet) -> tuple[Page, ...]:
+def tag_pages(sheet: Sheet) -> tuple[Figure, ...]:
     """The tags in rows, upright, on as many pages as needed. Raises `MechanicsError`: a tag larger than the page.
     Raises `RecordingError`: unknown family or id."""
     tags = [printed_tag(tag_id, sheet.family) for tag_id in sheet.ids]
@@ -165,16 +141,17 @@ def tag_pages(sheet: Sheet) -> tuple[Page, ...]:
         )
     pages = []
     for first in range(0, len(tags), across * down):
-        marks = furniture(sheet, (width, height))
+        page = blank_page(width, height)
+        _furnish(page, sheet, height)
         for place, tag in enumerate(tags[first : first + across * down]):
             x = LEFT + pitch * (place % across + 0.5)
             y = TOP + pitch * (place // across + 0.5)
-            marks += _with_surroundings(sheet, tag, (x, y))
-        pages.append(Page(width, height, tuple(marks)))
+            _put_tag(page, sheet, tag, (x, y))
+        pages.append(page)
     return tuple(pages)
 
 
-def strip_page(recording: Recording, *, page: str = "a4", rim: float = 1.0) -> Page:
+def strip_page(recording: Recording, *, page: str = "a4", rim: float = 1.0) -> Figure:
     """A page with a recording's tags at their places along the beam, to lay the beam on; landscape if it is long.
     Raises `MechanicsError`: the beam is longer than the page, or tags overlap. Raises `RecordingError`: unknown id."""
     entries = (*recording.tags.on_base, *recording.tags.on_beam)
@@ -191,18 +168,20 @@ def strip_page(recording: Recording, *, page: str = "a4", rim: float = 1.0) -> P
             "alone (--ids) and measure their places"
         )
     left, y = 0.5 * (size[0] - length) + 0.5 * (LEFT - RIGHT), 0.5 * size[1]
-    marks = furniture(sheet, size, f"places along the beam of {recording.name}, {length:g} mm from clamp to tip")
+    strip = blank_page(*size)
+    _furnish(strip, sheet, size[1], f"places along the beam of {recording.name}, {length:g} mm from clamp to tip")
     for tag, entry in zip(tags, entries, strict=True):
         x = left + entry.s * length
-        marks += [Fill(tag_polygons(tag, sheet.size, (x, y), entry.turn))]
+        _fill(strip, tag_polygons(tag, sheet.size, (x, y), entry.turn))
         for side in (-1.0, 1.0):
             near = y + side * (0.5 * outer * (abs(math.cos(entry.turn)) + abs(math.sin(entry.turn))) + AWAY)
-            marks += [Line((x, near), (x, near + side * 4.0))]
-        marks += [Text((x, y + 0.75 * outer + 9.0), f"{entry.id}: s = {entry.s:.4g}", 2.2, "middle")]
+            _line(strip, (x, near), (x, near + side * 4.0))
+        _text(strip, (x, y + 0.75 * outer + 9.0), f"{entry.id}: s = {entry.s:.4g}", 2.2, "center")
     for x, name in ((left, "clamp"), (left + length, "tip")):
-        marks += [Line((x, y - outer - 14.0), (x, y - outer - 6.0)), Text((x, y - outer - 15.0), name, 2.5, "middle")]
-    marks += [Line((left, y - outer - 10.0), (left + length, y - outer - 10.0))]
-    return Page(*size, tuple(marks))
+        _line(strip, (x, y - outer - 14.0), (x, y - outer - 6.0))
+        _text(strip, (x, y - outer - 15.0), name, 2.5, "center")
+    _line(strip, (left, y - outer - 10.0), (left + length, y - outer - 10.0))
+    return strip
 
 
 def _refuse_overlap(entries: Sequence[TagEntry], length: float, outer: float) -> None:
@@ -223,55 +202,44 @@ def tag_polygons(tag: PrintedTag, size: float, centre: tuple[float, float], turn
     return np.asarray(flat @ np.array([[cos, -sin], [sin, cos]]) + np.array(centre))  # y runs down the page
 
 
-def _with_surroundings(sheet: Sheet, tag: PrintedTag, centre: tuple[float, float]) -> list[Mark]:
+def _put_tag(page: Figure, sheet: Sheet, tag: PrintedTag, centre: Place) -> None:
+    """A tag with its cut marks and its number."""
     x, y = centre
     half = 0.5 * sheet.outer(tag)
-    marks: list[Mark] = [Fill(tag_polygons(tag, sheet.size, centre))]
-    if sheet.cut_marks:
-        for right in (-1.0, 1.0):
-            for low in (-1.0, 1.0):
-                corner_x, corner_y = x + right * half, y + low * half
-                marks += [
-                    Line((corner_x + right * AWAY, corner_y), (corner_x + right * (AWAY + CUT), corner_y)),
-                    Line((corner_x, corner_y + low * AWAY), (corner_x, corner_y + low * (AWAY + CUT))),
-                ]
+    _fill(page, tag_polygons(tag, sheet.size, centre))
+    for right, low in product((-1.0, 1.0), repeat=2) if sheet.cut_marks else ():
+        corner_x, corner_y = x + right * half, y + low * half
+        _line(page, (corner_x + right * AWAY, corner_y), (corner_x + right * (AWAY + CUT), corner_y))
+        _line(page, (corner_x, corner_y + low * AWAY), (corner_x, corner_y + low * (AWAY + CUT)))
     if sheet.labels:
-        marks += [Text((x, y + half + 3.2), f"{tag.id}", 2.5, "middle")]
-    return marks
+        _text(page, (x, y + half + 3.2), f"{tag.id}", 2.5, "center")
 
 
-def furniture(sheet: Sheet, size: tuple[float, float], what: str = "cut along the marks") -> list[Mark]:
-    """Heading and two rulers."""
-    height = size[1]
+def _furnish(page: Figure, sheet: Sheet, height: float, what: str = "cut along the marks") -> None:
+    """Heading and two rulers, on a page of this height [mm]."""
     first, last = min(sheet.ids), max(sheet.ids)
     named = f"{first}" if first == last else f"{first} to {last}"
     base = height - 14.0
-    marks: list[Mark] = [
-        Text((LEFT, 10.0), f"{sheet.family}, tags {named}; black squares {1e3 * sheet.size:g} mm wide; {what}", 3.0),
-        Text(
-            (LEFT, 14.5),
-            "Print at 100 % (actual size, no fitting to the page). The right-hand side of this page is the",
-            2.5,
-        ),
-        Text((LEFT, 18.0), "tags' right-hand side: towards the beam's tip where turn_deg = 0.", 2.5),
-        Text((LEFT, base + 6.5), f"Both lines must be {RULER:g} mm long. If both are M mm instead, write", 2.5),
-        Text(
-            (LEFT, base + 10.0), f"size_m = {sheet.size:g} * M / {RULER:g}; if they differ, use another printer.", 2.5
-        ),
-    ]
-    marks += _ruler((LEFT, base), (1.0, 0.0))
-    return marks + _ruler((11.0, height - 28.0), (0.0, -1.0))
+    title = f"{sheet.family}, tags {named}; black squares {1e3 * sheet.size:g} mm wide; {what}"
+    _text(page, (LEFT, 10.0), title, 3.0)
+    for y, text in (
+        (14.5, "Print at 100 % (actual size, no fitting to the page). The right-hand side of this page is the"),
+        (18.0, "tags' right-hand side: towards the beam's tip where turn_deg = 0."),
+        (base + 6.5, f"Both lines must be {RULER:g} mm long. If both are M mm instead, write"),
+        (base + 10.0, f"size_m = {sheet.size:g} * M / {RULER:g}; if they differ, use another printer."),
+    ):
+        _text(page, (LEFT, y), text)
+    _ruler(page, (LEFT, base), (1.0, 0.0))
+    _ruler(page, (11.0, height - 28.0), (0.0, -1.0))
 
 
-def _ruler(start: tuple[float, float], along: tuple[float, float]) -> list[Mark]:
+def _ruler(page: Figure, start: Place, along: Place) -> None:
     """A ruler of `RULER` mm; ticks point to the left of its direction."""
-    x, y = start
-    dx, dy = along
-    marks: list[Mark] = [Line(start, (x + RULER * dx, y + RULER * dy))]
+    (x, y), (dx, dy) = start, along
+    _line(page, start, (x + RULER * dx, y + RULER * dy))
     for i in range(int(RULER) + 1):
         tall = 4.0 if i % 10 == 0 else 3.0 if i % 5 == 0 else 1.8
         foot = (x + i * dx, y + i * dy)
-        marks += [Line(foot, (foot[0] + tall * dy, foot[1] - tall * dx), 0.1)]
-    for i in range(0, int(RULER) + 1, 10):
-        marks += [Text((x + i * dx + (6.5 * dy), y + i * dy - 5.0 * dx - 0.7 * dy), f"{i}", 2.0, "middle")]
-    return marks
+        _line(page, foot, (foot[0] + tall * dy, foot[1] - tall * dx), 0.1)
+        if i % 10 == 0:
+            _text(page, (foot[0] + 6.5 * dy, foot[1] - 5.0 * dx - 0.7 * dy), f"{i}", 2.0, "center")

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from onebend.beam.continuation import equilibrium
-from onebend.beam.loads import push
+from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.bench import (
@@ -138,8 +138,7 @@ def virtual_recording(bench: VirtualBench, *, seed: int) -> VirtualRecording:
     if motion is None:
         pose = tag_poses(bench, force)
     else:
-        seen = motion.poses(time, np.clip(tag_places(bench), 0.0, 1.0))
-        pose = tag_poses_on(bench, seen[..., :2], seen[..., 2])
+        pose = tag_poses_on(bench, motion.poses(time, np.clip(tag_places(bench), 0.0, 1.0)))
     poses, covariance = filmed(bench.camera, from_base(pose, bench.base), 1.0 / bench.fps, camera_rng)
     markers = markers_of(bench.tags, time, poses, covariance)
     dense = np.arange(-LOG_BEFORE, bench.push.duration + LOG_BEFORE, DENSE)
@@ -195,15 +194,21 @@ def observe_virtual(virtual: VirtualRecording, settings: ObserveSettings = Obser
     return assemble(virtual.recording, virtual.markers, virtual.log, None, settings)
 
 
+def standing(beam: Beam, force: Array, at_s: float, s: Array, gravity: tuple[float, float] = (0.0, 0.0)) -> Array:
+    """(T, S, 3) m, m, rad at `s` (S,): equilibria under forces (T, 2) N. Raises `MechanicsError`: snap-through."""
+    loads = push(force, at_s)
+    if any(gravity):
+        loads = loads + weight(np.tile(gravity, (len(force), 1)))
+    solved = equilibrium(beam, loads, resolution=RESOLUTION)
+    if not np.all(solved.converged):
+        largest = float(np.max(np.linalg.norm(force, axis=1)))
+        raise MechanicsError(f"the virtual beam snaps through under {largest:.3g} N or less. Give a smaller force")
+    return np.concatenate([solved.xy(s), solved.angle(s)[..., None]], axis=-1)
+
+
 def tag_poses(bench: VirtualBench, force: Array) -> Array:
     """(T, m, 3) the tags in the clamp's frame under forces (T, 2)."""
-    beam, at_s = bench.beam, bench.push.at_s
-    s = np.clip(tag_places(bench), 0.0, 1.0)
-    solved = equilibrium(beam, push(force, at_s), resolution=RESOLUTION)
-    if not np.all(solved.converged):
-        worst = float(np.max(np.linalg.norm(force, axis=1)))
-        raise MechanicsError(f"the virtual beam snaps through under {worst:.3g} N. Give a smaller push")
-    return tag_poses_on(bench, solved.xy(s), solved.angle(s))
+    return tag_poses_on(bench, standing(bench.beam, force, bench.push.at_s, np.clip(tag_places(bench), 0.0, 1.0)))
 
 
 def tag_places(bench: VirtualBench) -> Array:
@@ -211,13 +216,13 @@ def tag_places(bench: VirtualBench) -> Array:
     return np.array([tag.s + tag.along / bench.beam.length for tag in bench.tags])
 
 
-def tag_poses_on(bench: VirtualBench, xy: Array, angle: Array) -> Array:
-    """(T, m, 3) tags from the beam's positions (T, m, 2) and angles (T, m) at their places clipped to 0..1."""
-    real = tag_places(bench)
+def tag_poses_on(bench: VirtualBench, beam: Array) -> Array:
+    """(T, m, 3) tags from the beam's poses (T, m, 3) at their places clipped to 0..1."""
+    real, angle = tag_places(bench), beam[..., 2]
     beyond = bench.beam.length * (real - np.clip(real, 0.0, 1.0))  # a tag may stick out over the tip
     across = np.array([tag.across for tag in bench.tags])
     cos, sin = np.cos(angle), np.sin(angle)
-    xy = xy + np.stack([cos * beyond - sin * across, sin * beyond + cos * across], axis=-1)
+    xy = beam[..., :2] + np.stack([cos * beyond - sin * across, sin * beyond + cos * across], axis=-1)
     turn = np.array([tag.turn for tag in bench.tags])
     return np.concatenate([xy, (angle + turn)[..., None]], axis=-1)
 

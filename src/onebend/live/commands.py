@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Generic, Self, TypeVar
 
@@ -19,7 +19,7 @@ from onebend import live
 from onebend.cli.common import Json, Quiet, clean_errors, percent, print_json, say, stderr_screen, stopped_by_hand
 from onebend.errors import RecordingError
 from onebend.live.guidance import STAGES, CaptureSettings, CaptureState
-from onebend.options import Only
+from onebend.options import Only, option
 from onebend.recording.folder import FILE_NAME, folder_of
 
 STAGE_NAMES = {stage: "picture" if stage == "exposure" else stage for stage in STAGES}
@@ -134,62 +134,42 @@ RecordFolder = Annotated[
 ]
 
 
-CameraSpec = Annotated[
-    str | None, typer.Option("--camera", metavar="SPEC", help="/dev/video0, film:REC (played) ...: docs/record.md.")
-]
+@dataclass(frozen=True)
+class RecordOptions:
+    """Which camera and sensor record, or what is played in their place."""
 
-
-ForceSpec = Annotated[
-    str | None,
-    typer.Option(
+    camera: str | None = option("--camera", None, "/dev/video0, film:REC (played) ...: docs/record.md.", metavar="SPEC")
+    force: str | None = option(
         "--force",
+        None,
+        "ati:ADDRESS, serial:/dev/ttyUSB0, ur:HOST, log:REC (played) ...; none: film alone.",
         metavar="SPEC",
-        help="ati:ADDRESS, serial:/dev/ttyUSB0, ur:HOST, log:REC (played) ...; none: film alone.",
-    ),
-]
-
-
-Like = Annotated[
-    Path | None,
-    typer.Option("--like", metavar="REC", help="Another push of this recording's beam: begin with its recording.toml."),
-]
-
-
-Play = Annotated[
-    Path | None,
-    typer.Option(
-        "--play", metavar="REC", help="Play film and log of REC as camera and sensor: to try it without them."
-    ),
-]
-
-
-Until = Annotated[
-    str | None, typer.Option("--until", metavar="PERCENT", help="Push until k(s) is known to ± this; else once.")
-]
+    )
+    play: Path | None = option(
+        "--play", None, "Play film and log of REC as camera and sensor: to try it without them.", metavar="REC"
+    )
+    like: Path | None = option(
+        "--like", None, "Another push of this recording's beam: begin with its recording.toml.", metavar="REC"
+    )
+    until: str | None = option("--until", None, "Push until k(s) is known to ± this; else once.", metavar="PERCENT")
+    fast: bool = option("--fast", False, "Play the files as fast as they can be read.")
 
 
 Capture = Annotated[CaptureSettings, Only(("begin_at_once", "follow", "longest", "crf", "overwrite"))]
 
 
-Fast = Annotated[bool, typer.Option("--fast", help="Play the files as fast as they can be read.")]
-
-
 def record(
     folder: RecordFolder,
     *,
-    camera: CameraSpec = None,
-    force: ForceSpec = None,
-    play: Play = None,
-    like: Like = None,
-    until: Until = None,
+    asked: RecordOptions,
     settings: Capture,
-    fast: Fast = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Record a push with a camera and a force sensor: guided from rest to rest, with k(s) while it goes on."""
+    camera, force, play, like = asked.camera, asked.force, asked.play, asked.like
     with clean_errors():
-        settings = replace(settings, until=percent(until))
+        settings = replace(settings, until=percent(asked.until))
         if play is not None:
             if not (folder_of(play) / FILE_NAME).is_file():
                 raise RecordingError(
@@ -206,7 +186,7 @@ def record(
         if like is not None:
             live.copy_description(like, folder)
         with stopped_by_hand() as (stop, begin), RecordingView(None if quiet or as_json else stderr_screen()) as view:
-            clock = live.PlayedClock() if fast else None
+            clock = live.PlayedClock() if asked.fast else None
             outcome = live.record(folder, *sources, settings, view.show, stop, begin=begin, clock=clock)
         if outcome.film is None or outcome.fault:
             kept = f"The recording up to then is in {folder}." if outcome.film else "Nothing was recorded."

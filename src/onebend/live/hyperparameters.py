@@ -196,7 +196,7 @@ class HyperparameterSearch:
 
 _LEVEL = 0.05  # of the largest force: one sd of the log's zero
 _WRONG = 4.0  # times the error that comes with the load, while the model misses the tags by far
-_WALK = 0.3  # of the force's noise, per root second: the zero drifts by the noise in ten seconds
+UNKNOWN_FORCE = ForceNoise(white=0.01, coloured=0.01, tau=0.3, walk=0.003, load=np.nan)
 
 
 @dataclass(frozen=True)
@@ -209,13 +209,9 @@ class OnlineSettings:
     # `clock` None: camera and force log share one; `scale` None: the camera is calibrated
     priors: Priors = field(default_factory=Priors)
     marker_noise: float = 1.5  # over what the tags' covariances say
-    force_noise: float = 0.01  # N, sd of the log's coloured error
-    force_white: float | None = None  # N, sd of its error that is anew in every frame; None: as the coloured one
-    force_walk: float | None = None  # N per root second, of its drift; None: 0.3 of the coloured one a second
-    force_zero: float = 0.0  # N, sd of the log's zero, on top of 5 % of the largest force
-    force_memory: float = 0.3  # s, correlation time of the log's coloured error
-    memory_doubt: float = MEMORY_DOUBT  # sd of the log of that time
-    force_load: float | None = None  # N, sd of its error that comes with the load; None: 3 % of the largest force
+    # `level` comes on top of 5 % of the largest force; `load` NaN: 3 % of it
+    force: ForceNoise = UNKNOWN_FORCE
+    memory_doubt: float = MEMORY_DOUBT  # sd of the log of `force.tau`
     roughness: float = TAU  # of log k
     steps: float = RHO  # of log k
     adapt: bool = True  # False: the hyperparameters keep their first values
@@ -232,23 +228,24 @@ class OnlineSettings:
         """The values that the hyperparameters begin with."""
         return LiveHyperparameters(
             marker=self.marker_noise,
-            white=self.force_noise if self.force_white is None else self.force_white,
-            coloured=self.force_noise,
-            memory=self.force_memory,
-            walk=_WALK * self.force_noise if self.force_walk is None else self.force_walk,
+            white=self.force.white,
+            coloured=self.force.coloured,
+            memory=self.force.tau,
+            walk=self.force.walk,
             load=1.0,
         )
 
     def check(self) -> None:
         """Raises `LearningError` for settings without meaning."""
-        positive = {"marker_noise", "force_noise", "force_white", "force_walk", "force_memory", "memory_doubt"}
-        positive |= {"roughness", "steps", "bulk", "gate", "step"}
-        for name, value in vars(self).items():
-            if name in positive and value is not None and not value > 0.0:
-                raise LearningError(f"{name} must be positive, got {value}")
-            if name in ("force_zero", "force_load") and value is not None and not value >= 0.0:
-                raise LearningError(f"{name} cannot be negative, got {value}")
-            if name in ("thickness", "tag_size") and value is not None and not (np.isfinite(value) and value > 0.0):
+        force = self.force
+        if not min(force.white, force.coloured, force.tau, force.walk) > 0.0 or force.level < 0.0 or force.load < 0.0:
+            raise LearningError(f"the parts of force must be positive, got {force}")
+        for name in ("marker_noise", "memory_doubt", "roughness", "steps", "bulk", "gate", "step"):
+            if not getattr(self, name) > 0.0:
+                raise LearningError(f"{name} must be positive, got {getattr(self, name)}")
+        for name in ("thickness", "tag_size"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0.0):
                 raise LearningError(f"{name} must be a length in m, got {value}")
         if not self.allowances <= LIVE_ALLOWANCES:
             other = ", ".join(sorted(self.allowances - LIVE_ALLOWANCES))
@@ -263,8 +260,9 @@ def force_process(
 ) -> ForceNoise:
     """The force log's error. `largest`: N, the largest force so far; `far_off`: the residuals are far above the tags'
     noise, so the force may also be further off than its log says."""
-    level = float(np.hypot(settings.force_zero, max(_LEVEL * largest, settings.force_noise)))
-    load = hyperparameters.load * (LOAD * largest if settings.force_load is None else settings.force_load)
+    first = settings.force
+    level = float(np.hypot(first.level, max(_LEVEL * largest, first.coloured)))
+    load = hyperparameters.load * (LOAD * largest if np.isnan(first.load) else first.load)
     if far_off:
         load *= _WRONG
     h = hyperparameters

@@ -15,7 +15,7 @@ from itertools import accumulate
 import numpy as np
 
 from onebend.learning.allowances import TIMES, Allowance, PushCourse, allowances_of
-from onebend.recording.force_noise import BEFORE, CLEAR, EARLY, TURN, LoadChange, TimeSpans, own_time
+from onebend.recording.force_noise import LoadChange, TimeSpans, load_changes, own_time
 from onebend.records import Array, BoolArray, IntArray
 
 # What the allowances know of a frame are their bases. A key frame keeps them, one after the other, as its `terms`.
@@ -114,16 +114,14 @@ class CourseSoFar:
 
 
 _FINE = 0.005  # of the largest displacement: smaller differences are not kept
-_PATH_LENGTH = 256  # displacements of one stage
-_CHANGES = 6  # the last ones, whose spans may still change
+_MOST_POINTS = 1000  # of the course of the load
 _USUAL = 0.1  # of the length: the largest displacement that is expected before the data
 
 
 class LoadStages:
-    """The load's own time, from frames as they come, of bounded size; see `load_changes` for a whole recording.
+    """The load's own time, from frames as they come, of bounded size: `load_changes` of the course so far.
 
-    A load begins, reverses where the beam comes back by a share of the largest displacement so far, and ends. A
-    reversal is noticed late and then counts for the frames before, too.
+    A reversal is noticed late and then counts for the frames before, too.
     """
 
     def __init__(self, length: float, tags: int) -> None:
@@ -131,80 +129,33 @@ class LoadStages:
         self.displacement = 0.0  # m, of the last frame
         self._here = np.full((tags, 2), np.nan)  # m, where tags were seen last
         self._rest = np.full((tags, 2), np.nan)
-        self._loaded = False
-        self._rising, self._extreme, self._peak = True, 0.0, 0.0  # m, and when
-        self._path: deque[tuple[float, float]] = deque(maxlen=_PATH_LENGTH)  # s, m
-        self._changes: deque[LoadChange] = deque()
-        self._past: deque[LoadChange] = deque()
-        self._open: float | None = None  # m, displacement where the present change began; None: it is over
+        self._course: deque[tuple[float, float, bool]] = deque(maxlen=_MOST_POINTS)  # s, m, loaded
+        self._changes: list[LoadChange] = []
 
     def add_frame(self, time: float, xy: Array, visible: BoolArray, loaded: bool) -> None:
         """The next frame: tags at `xy` (m, 2) m where `visible`."""
         self._here[visible] = xy[visible]
-        if not loaded:
-            self._rest[visible] = xy[visible]
-            if self._loaded:
-                self._release()
-            self._loaded, self.displacement = False, 0.0
-            return
-        unknown = np.isnan(self._rest)
-        self._rest[unknown] = self._here[unknown]
+        rest = np.isnan(self._rest) if loaded else visible[:, None] & np.ones((1, 2), dtype=bool)
+        self._rest[rest] = self._here[rest]
         away = (self._here - self._rest).ravel()
         away = away[np.isfinite(away)]
-        self.displacement = size = float(np.sqrt(2.0 * (away @ away) / max(len(away), 1)))
+        self.displacement = size = float(np.sqrt(2.0 * (away @ away) / max(len(away), 1))) if loaded else 0.0
         self.largest = max(self.largest, size)
-        if not self._loaded:
-            self._loaded = self._rising = True
-            self._extreme, self._peak, self._open = size, time, 0.0
-            self._path.clear()
-            self._add(LoadChange(time - EARLY, time, release=False))
-        elif self._open is not None:
-            self._go_on(time, abs(size - self._open) > CLEAR * self.largest)
-        if not self._path or abs(size - self._path[-1][1]) > _FINE * self.largest:
-            self._path.append((time, size))
-        if size >= self._extreme if self._rising else size <= self._extreme:
-            self._extreme, self._peak = size, time
-        elif abs(size - self._extreme) > TURN * self.largest:
-            self._turn(time, size)
+        here = (time, size, loaded)
+        times, sizes, on = zip(*self._course, here, strict=True)
+        self._changes = load_changes(np.array(times), np.array(sizes), np.array(on), self.largest)
+        if len(times) == 1 or loaded != on[-2] or abs(size - sizes[-2]) > _FINE * self.largest:
+            self._course.append(here)
 
     @property
     def falling(self) -> bool:
         """The load has reversed since it began, and not again."""
-        return not self._rising
-
-    def _go_on(self, time: float, over: bool) -> None:
-        self._changes[-1] = replace(self._changes[-1], end=time)
-        self._open = None if over else self._open
-
-    def _turn(self, time: float, size: float) -> None:
-        """The load has reversed; the change began where the beam was last clear of the turning point."""
-        before = [t for t, d in self._path if t < self._peak and abs(d - self._extreme) > BEFORE * self.largest]
-        low = before[-1] if before else (self._path[0][0] if self._path else self._peak)
-        self._add(LoadChange(min(low, self._peak), time, release=False))
-        self._open = self._extreme
-        self._rising, self._extreme, self._peak = not self._rising, size, time
-        self._path = deque([point for point in self._path if point[0] >= low], maxlen=_PATH_LENGTH)
-
-    def _release(self) -> None:
-        clear = [t for t, d in self._path if d > CLEAR * self.largest]
-        end = self._path[-1][0]
-        self._add(LoadChange(clear[-1] if clear else end, end + EARLY, release=True))
-        self._open = None
-
-    def _add(self, change: LoadChange) -> None:
-        if len(self._changes) == _CHANGES:
-            self._past.append(self._changes.popleft())
-        self._changes.append(change)
+        since = len(self._changes) - max((i + 1 for i, one in enumerate(self._changes) if one.release), default=0)
+        return since > 0 and since % 2 == 0
 
     def own(self, time: Array) -> Array:
-        """(N,) own time at `time` (N,) [s] from the changes that may still change."""
+        """(N,) own time at `time` (N,) [s]."""
         return own_time(self._changes, time)
-
-    def forgotten(self, time: Array) -> tuple[Array, float]:
-        """(N,) own time at `time` (N,) [s] from the changes settled since the last call, and of later frames."""
-        out = own_time(self._past, time), float(sum(change.amount for change in self._past))
-        self._past.clear()
-        return out
 
 
 _SAME_PLACE = 0.01  # of s: pushes closer than this may be averaged
@@ -232,7 +183,7 @@ class KeyFrames:
     """Room for K frames; the first `used` are taken, in order of time. In few arrays, to move a frame quickly."""
 
     used: int
-    numbers: Array  # (K, 14 + terms)
+    numbers: Array  # (K, 13 + terms)
     flags: BoolArray  # (K, 3): `rest`, `stale`, `lost`
     measured: Array  # (K, m, 3)
     information: Array  # (K, m, 3, 3) of `measured`; zero where a tag was not seen
@@ -245,15 +196,14 @@ class KeyFrames:
 
     begin = _View("numbers", 0)  # (K,) s
     end = _View("numbers", 1)  # (K,) s
-    own = _View("numbers", 2)  # (K,) the load's own time there, but for its last changes
-    frames = _View("numbers", 3)  # (K,) how many were averaged
-    push_s = _View("numbers", 4)  # (K,)
-    grid = _View("numbers", 5)  # (K,) place of the push whose grid `q` is on; 0: there is none yet
-    force = _View("numbers", slice(6, 8))  # (K, 2) N, as logged
-    rate = _View("numbers", slice(8, 10))  # (K, 2) N/s
-    gravity = _View("numbers", slice(10, 12))  # (K, 2) m/s^2
-    error = _View("numbers", slice(12, 14))  # (K, 2) N, the force's, at which it was linearised
-    terms = _View("numbers", slice(14, None))  # (K, terms) of the allowances
+    frames = _View("numbers", 2)  # (K,) how many were averaged
+    push_s = _View("numbers", 3)  # (K,)
+    grid = _View("numbers", 4)  # (K,) place of the push whose grid `q` is on; 0: there is none yet
+    force = _View("numbers", slice(5, 7))  # (K, 2) N, as logged
+    rate = _View("numbers", slice(7, 9))  # (K, 2) N/s
+    gravity = _View("numbers", slice(9, 11))  # (K, 2) m/s^2
+    error = _View("numbers", slice(11, 13))  # (K, 2) N, the force's, at which it was linearised
+    terms = _View("numbers", slice(13, None))  # (K, terms) of the allowances
     j = _View("linear", slice(None, -3))  # (K, m, 3, n) derivatives with the parameters
     a = _View("linear", slice(-3, -1))  # (K, m, 3, 2) derivatives with the force
     zeta = _View("linear", -1)  # (K, m, 3)
@@ -284,10 +234,10 @@ class KeyFrames:
         """(used,) s, in the middle of each frame's stretch of time."""
         return 0.5 * (self.begin[: self.used] + self.end[: self.used])
 
-    def spans(self, more: Array) -> TimeSpans:
-        """Stretches of time of the frames in use; `more` (used,) is added to the load's own time."""
+    def spans(self, own: Array) -> TimeSpans:
+        """Stretches of time of the frames in use; `own` (used,): the load's own time there."""
         begin, end, frames = (values[: self.used].copy() for values in (self.begin, self.end, self.frames))
-        return TimeSpans(begin, end, frames, np.zeros(self.used), self.own[: self.used] + more)
+        return TimeSpans(begin, end, frames, np.zeros(self.used), own)
 
     def arrays(self) -> list[Array | BoolArray]:
         """All that is kept of every frame."""
@@ -328,7 +278,7 @@ def empty(most: int, tags: int, parameters: int, nodes: int, terms: int) -> KeyF
 
     return KeyFrames(
         used=0,
-        numbers=room(14 + terms),
+        numbers=room(13 + terms),
         flags=np.zeros((count, 3), dtype=bool),
         measured=room(tags, 3),
         information=room(tags, 3, 3),
@@ -384,7 +334,7 @@ def propose_average(keys: KeyFrames, i: int, slot: int) -> None:
     share = keys.frames[k] / (keys.frames[i] + keys.frames[k])
     keys.numbers[slot] = (1.0 - share) * first + share * second
     keys.shape[slot] = (1.0 - share) * keys.shape[i] + share * keys.shape[k]
-    keys.begin[slot], keys.end[slot], keys.frames[slot] = first[0], second[1], first[3] + second[3]
+    keys.begin[slot], keys.end[slot], keys.frames[slot] = first[0], second[1], first[2] + second[2]
     keys.rest[slot], keys.lost[slot] = keys.rest[i], False
     keys.grid[slot] = keys.grid[i]
     if keys.grid[k] != keys.grid[i]:

@@ -239,7 +239,6 @@ class Smoother:
         drawn = settings.adapt and prior.fixed is None
         self._chains = StiffnessChains(spline, level, settings.roughness, settings.steps) if drawn else None
         self._stages, self._course = LoadStages(session.length, tags), CourseSoFar(session.course, session.terms)
-        self._before = 0.0  # the load's own time from changes of the load that are settled
         self._guess, self._spent = hyperparameters.marker, 0.0
         self._looks, self._turns = 0, 0
         self._linearised = 0  # key frames linearised in the last update
@@ -266,8 +265,7 @@ class Smoother:
         self._stages.add_frame(frame.time, frame.measured[:, :2], frame.visible, frame.loaded)
         i = self._write(frame, rate)
         over = 0 if self.pending else keys.used - self._settings.key_frames  # an update that solves does no averaging
-        own = keys.own[: keys.used] + self._stages.own(keys.centre)
-        pairs = key_frames.closest_pairs(keys, i, self._largest, own, over)
+        pairs = key_frames.closest_pairs(keys, i, self._largest, self._stages.own(keys.centre), over)
         fresh = [i]
         for slot, pair in enumerate(pairs, keys.used):
             key_frames.propose_average(keys, pair, slot)
@@ -311,19 +309,10 @@ class Smoother:
         keys, i = self.keys, write_frame(self.keys, frame, rate, terms)
         if frame.loaded:
             self._lineariser.pushed_at(frame.push_s)
-        self._forget_changes(i)
-        now = keys.own[i] + float(self._stages.own(np.array([frame.time]))[0])
+        now = float(self._stages.own(np.array([frame.time]))[0])
         self._expected = self.solution.predicted_error(frame.time, now)
         expect_shape(keys, i, self._expected[0])
         return i
-
-    def _forget_changes(self, i: int) -> None:
-        """Add the settled changes of the load to the own times of the frames before; i: the frame that just came."""
-        keys, self.keys.own[i] = self.keys, self._before
-        added, after = self._stages.forgotten(np.append(keys.centre, self.marginalised.time))
-        keys.own[: keys.used] += added[:-1]
-        self.marginalised.own += float(added[-1])
-        self._before += after
 
     def gate(self, frame: CheckedFrame) -> tuple[Array, Array, BoolArray]:
         """Innovation (m, 3) of the last key frame, its distance (m,) in sd, and which tags are used.

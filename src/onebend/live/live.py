@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import median
@@ -13,14 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from onebend.beam.stiffness import UncertainStiffness, half_width_words
-from onebend.errors import ObservationError, RecordingError
+from onebend.errors import ObservationError, OnebendError, RecordingError
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import Grade
 from onebend.live import review
 from onebend.live.history import AS_NEAR, ForceHistory, FrameHistory, FrameReader
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.learner import OnlineLearner
-from onebend.live.review import ENDED, HALF, LONGEST_GAP, NO_TAGS, Later, Reviewed, Reviewer, ReviewerBeside, Seen
+from onebend.live.review import ENDED, NO_TAGS, Reviewed, Reviewer, ReviewerBeside, Seen
 from onebend.pipeline import Run, learn_observed
 from onebend.progress import Progress, Silent, one_blas_thread
 from onebend.recording.entries import Recording
@@ -36,9 +37,11 @@ from onebend.report.wording import significant
 
 # Frame by frame between two reviews: frames wait for their force, and are taught to the learner of the last review.
 
-_BEHIND = 2  # frames that came during a review, of which its learner is taught with each new one
+_BEHIND = 4  # frames that came during a review, of which its learner is taught with each new one
 _FEW_WAITING, _MOST_WAITING = 4, 300  # frames, before there is a learner and then
 _SOON = 0.03  # s of newer frames, after which a force that is as near as the clocks are known is taken for that
+HALF = 0.015  # s: the force of a frame is the mean of the rows that are as near
+LONGEST_GAP = 0.1  # s, to the nearest row where none is
 _LATELY = 31  # frames, of which is known how far the log had come
 
 Frame = tuple[float, Array]  # time [s, the frames' clock] and corners (m, 4, 2) px
@@ -57,11 +60,16 @@ class Learning:
 
     def update(self, log: ForceHistory, time: float, corners: Array, ahead: float) -> None:
         """Teach it one frame; `ahead`: as `FrameReader.stands_in`."""
-        logged = review.logged_at(log, self.reader, time, self.reader.stands_in(ahead))
+        wanted = time + self.reader.offset
+        if len(log) and wanted - log.newest <= self.reader.stands_in(ahead):
+            wanted = min(wanted, log.newest)
+        logged = log.mean_near(wanted, HALF, LONGEST_GAP)
         self.force = self.reader.force_on_beam(logged[:2])
-        doubts = review.teach(self.learner, self.reader, time, corners, logged)
-        if doubts is not None:
-            self.learned, self.doubts = self.learned + 1, tuple(doubts)
+        frame = self.reader.frame(time, corners, logged)
+        if frame is not None:
+            with suppress(OnebendError):  # one not newer than the last, or without meaning: the next one will do
+                self.doubts = self.learner.update(**vars(frame)).doubts
+                self.learned += 1
 
 
 class Following:
@@ -136,15 +144,6 @@ class Following:
         near = min(AS_NEAR * reader.offset_sd, LONGEST_GAP)
         at_once = lacks <= (stands_in if stands_in > HALF else -HALF)
         return at_once or (waited >= _SOON and lacks <= near) or waited >= self._wait
-
-    def later(self, made: Reviewed) -> Later:
-        """What came after the last frame of a review, and is not waiting for its force."""
-        frames = [frame for frame in self._released() if frame[0] > made.until]
-        rows, begin = self._log.rows, 0
-        if made.reader is not None:
-            begin = int(np.searchsorted(rows[:, 0], made.until + made.reader.offset - 1.0))
-        times, corners = tuple(time for time, _ in frames), tuple(one for _, one in frames)
-        return Later(times, corners, rows[begin:].copy(), self.ahead)
 
     def take(self, made: Reviewed) -> None:
         """Go on from a review. Where it found less than the one before, that one stands, with the doubt."""
@@ -491,12 +490,12 @@ class Live:
     def _review(self, now: float) -> None:
         """Take what a review has found; begin the next one where it is due."""
         following, reviewer = self._following, self._reviewer
-        if reviewer.busy and (made := reviewer.result(following.later)) is not None:
+        if (made := reviewer.result()) is not None:
             following.take(made)
         if not reviewer.busy and now >= self._due:
             self._due = max(now + self.settings.least_apart, now * self.settings.review_growth)
             reviewer.begin(self._seen())
-            if (at_once := reviewer.result(following.later)) is not None:
+            if (at_once := reviewer.result()) is not None:
                 following.take(at_once)
 
 

@@ -16,21 +16,7 @@ from onebend.beam.problem import Problem
 from onebend.beam.sensitivity import Perturbation, adjoint_times, minus_gradient, moved_by_strain
 from onebend.beam.statics import Equilibrium, nodal_forces, tangent
 from onebend.beam.stiffness import RectangularSection
-from onebend.learning import prediction
-from onebend.learning.allowances import (
-    LARGEST,
-    LIVE_ALLOWANCES,
-    TIMES,
-    Allowance,
-    Entry,
-    PushCourse,
-    allowances_of,
-    lag_weights,
-    patch_functions,
-    patch_means,
-    section_at,
-    shift_of_lags,
-)
+from onebend.learning import allowances as effects, prediction
 from onebend.learning.fit_data import MASS_MODES, REST_MODES
 from onebend.learning.parameters import STATED_ERRORS, Layout, Priors, Spline, layout_of, log_axes
 from onebend.learning.prediction import BentBeam, ResponseColumns, TagRide
@@ -50,8 +36,8 @@ class LiveSession:
     marker_s: Array  # (m,)
     mass: float  # kg
     layout: Layout
-    course: PushCourse  # of one frame
-    allowances: tuple[Allowance, ...] = ()  # with their bases in one frame, where they have some
+    course: effects.PushCourse  # of one frame
+    allowances: tuple[effects.Allowance, ...] = ()  # with their bases in one frame, where they have some
     thickness: float = math.nan  # m, of the section in the plane of bending; NaN: not known
 
     @cached_property
@@ -70,7 +56,7 @@ class LiveSession:
         thickness goes with its parameter."""
         if "section" not in self.carried:
             return None, 1.0
-        return section_at(float(self.layout.get(x, "section")[0]), self.thickness, self.length)
+        return effects.section_at(float(self.layout.get(x, "section")[0]), self.thickness, self.length)
 
     @cached_property
     def columns(self) -> dict[str, slice]:
@@ -93,7 +79,7 @@ class LiveSession:
         fine = self.layout.spline.finer
         if "patches" not in self.carried:
             return np.zeros((fine.count, 0))
-        return fine.nearest(lambda s: patch_functions(self.marker_s, self.length, self.course.tag_size, s))
+        return fine.nearest(lambda s: effects.patch_functions(self.marker_s, self.length, self.course.tag_size, s))
 
 
 @dataclass(frozen=True)
@@ -178,14 +164,14 @@ def session_of(
     and force log share one clock. Allowances that are not wanted are frozen.
     """
     course = course_of_frame(marker_s, length, tag_size, thick=bool(np.isfinite(thickness)))
-    wanted: list[Allowance] = []
+    wanted: list[effects.Allowance] = []
     for one in STATED_ERRORS:
         stated = getattr(priors, one.prior)
         sd = one.usual if stated is None else stated
         if one.name == "mass":
             sd = np.append(sd if mass > 0.0 else 0.0, np.full(3, priors.mass_spread))
         wanted.append(one.with_sd(sd, course.tags))
-    every = allowances_of(course, LIVE_ALLOWANCES)
+    every = effects.allowances_of(course, effects.LIVE_ALLOWANCES)
     wanted += [replace(a, prior_sd=a.prior_sd * (a.name in allowances)) for a in every]
     layout = layout_of(spline, [(-1, a) for a in wanted])
     return LiveSession(length, marker_s, mass, layout, course, every, thickness)
@@ -223,7 +209,7 @@ def push_grid_at(session: LiveSession, push_s: float) -> PushGrid:
     parts = MASS_MODES.curvature(nodes)
     beyond = nodes < push_s
     last = np.arange(len(nodes)) == int(np.sum(beyond)) - 1
-    under_tags = patch_means(session.marker_s, session.length, session.course.tag_size, grid)
+    under_tags = effects.patch_means(session.marker_s, session.length, session.course.tag_size, grid)
     return PushGrid(
         push_s=push_s,
         grid=grid,
@@ -270,7 +256,7 @@ def linearise(session: LiveSession, beam: PointBeam, inputs: FrameInputs, start:
     layout, m, x, push_grid = session.layout, len(session.marker_s), beam.x, beam.push_grid
     own, straight = session.terms.with_terms(inputs.terms), beam.problem.q0
 
-    def allowed(enters: Entry) -> Array | float:
+    def allowed(enters: effects.Entry) -> Array | float:
         return prediction.allowed(own, enters, partial(layout.get, x))
 
     logged = (inputs.force + inputs.rate * layout.get(x, "clock")) @ beam.axes.T
@@ -332,7 +318,7 @@ def _rest_shift(
         return straight, None
     bending = np.zeros(memory.before.shape[:2]) if start is None else start - straight
     shares = session.layout.get(x, "relaxation")
-    shift, by_shares = shift_of_lags(shares, memory.lags(bending), bending, memory.reached)
+    shift, by_shares = effects.shift_of_lags(shares, memory.lags(bending), bending, memory.reached)
     return straight + shift, by_shares
 
 
@@ -532,12 +518,12 @@ class Lineariser:
         """Memory of the beam in the chosen frames, from the key frame before each; `frames`: these, and their shapes.
         The first key frame and proposed averages keep theirs."""
         chosen, here = frames
-        before, now = here[..., 3:], np.zeros((len(chosen), len(TIMES)))
+        before, now = here[..., 3:], np.zeros((len(chosen), len(effects.TIMES)))
         if "relaxation" not in self._session.carried:
             return Memory(np.zeros_like(before), now, REACHED)
         bending = here[..., :1] - (push_grid.rest_on_nodes @ self._session.layout.get(point, "curvature"))[:, None]
         centre = 0.5 * (keys.begin + keys.end)
-        kept, entered, last = (w.T for w in lag_weights(np.diff(centre)))
+        kept, entered, last = (w.T for w in effects.lag_weights(np.diff(centre)))
         place = {k: b for b, k in enumerate(chosen)}
         for k in sorted(chosen):
             if not 0 < k < keys.used:
@@ -561,7 +547,7 @@ class Lineariser:
             return x, covariance
         layout, reached = self._session.layout, self._reached(keys, point)
         where, p, shares = layout.index["relaxation", -1].where, layout.spline.count, layout.get(x, "relaxation")
-        left, usual = (1.0 - min(float(shares @ part), LARGEST) for part in (reached, REACHED))
+        left, usual = (1.0 - min(float(shares @ part), effects.LARGEST) for part in (reached, REACHED))
         out, onto = x.copy(), np.eye(len(x))
         out[:p] += np.log(left / usual)
         onto[:p, where] = REACHED / usual - reached / left
@@ -569,7 +555,7 @@ class Lineariser:
 
     def _reached(self, keys: KeyFrames, point: Array) -> Array:
         """(r,) parts of the curvature that those which lag behind it have reached over the frames in use."""
-        curvature, lagged, square = self._session.layout.get(point, "curvature"), np.zeros(len(TIMES)), 0.0
+        curvature, lagged, square = self._session.layout.get(point, "curvature"), np.zeros(len(effects.TIMES)), 0.0
         for i in range(keys.used):
             if keys.grid[i] != 0.0 and not keys.rest[i]:
                 grid = push_grid_at(self._session, float(keys.grid[i]))

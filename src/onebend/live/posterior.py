@@ -31,7 +31,6 @@ class Marginalised:
 
     rows: Array  # (n + 2, n + 3) upper triangular `[R | z]`: -2 log likelihood |R (x, e) - z|^2
     time: float  # s, of the slow force error e (2,); minus infinity while nothing is marginalised
-    own: float = 0.0  # the load's own time there
 
     @property
     def form(self) -> InformationForm:
@@ -39,14 +38,14 @@ class Marginalised:
         root, z = self.rows[:, :-1], self.rows[:, -1]
         return InformationForm(root.T @ root, root.T @ z)
 
-    def add(self, new_rows: Array, time: float, own: float, *, slow: float, fast: float) -> None:
+    def add(self, new_rows: Array, time: float, *, slow: float, fast: float) -> None:
         """Add one frame's rows (R, n + 3) on x and its own force error; the slow error moves to that frame's time.
 
         `slow`: N^2, variance of the slow error's change since the last; `fast`: N^2, of the rest of the frame's error.
         """
         before = with_error_change(self.rows, slow) if np.isfinite(self.time) else self.rows
         both = np.concatenate([before, with_error_change(new_rows, fast)])
-        self.rows, self.time, self.own = _triangle(both)[: len(self.rows)], time, own
+        self.rows, self.time = _triangle(both)[: len(self.rows)], time
 
 
 def nothing_marginalised(parameters: int) -> Marginalised:
@@ -55,17 +54,16 @@ def nothing_marginalised(parameters: int) -> Marginalised:
 
 
 def marginalise_oldest(
-    keys: KeyFrames, marginalised: Marginalised, process: ForceNoise, marker: float, lately: Callable[[Array], Array]
+    keys: KeyFrames, marginalised: Marginalised, process: ForceNoise, marker: float, own: Callable[[Array], Array]
 ) -> None:
     """Marginalise the oldest key frame, under this force error and noise `marker` of the tags.
 
-    `lately`: what the load's last changes add to its own time at given times.
+    `own`: the load's own time at given times.
     """
     begin, end, frames = (float(values[0]) for values in (keys.begin, keys.end, keys.frames))
-    here, there = lately(np.array([keys.centre[0], marginalised.time])).tolist()
-    own = float(keys.own[0]) - marginalised.own + here - there
-    slow, fast = slow_variance(process, end - marginalised.time, own), fast_variance(process, end - begin, frames)
-    marginalised.add(likelihood_rows(keys, 0, marker, process.white), end, float(keys.own[0]), slow=slow, fast=fast)
+    since = float(np.diff(own(np.array([marginalised.time, keys.centre[0]])))[0])
+    slow, fast = slow_variance(process, end - marginalised.time, since), fast_variance(process, end - begin, frames)
+    marginalised.add(likelihood_rows(keys, 0, marker, process.white), end, slow=slow, fast=fast)
     keys.drop(0)
 
 
@@ -227,10 +225,8 @@ class KeyFramePosterior:
         return rows @ self.e, rows, alone - float(rows @ with_others)
 
 
-def gather(
-    keys: KeyFrames, marginalised: Marginalised, lately: Callable[[Array], Array] = np.zeros_like
-) -> KeyFrameSums:
-    """Sums over the key frames with their robust weights; `lately`: the part of the load's own time not yet settled."""
+def gather(keys: KeyFrames, marginalised: Marginalised, own: Callable[[Array], Array] = np.zeros_like) -> KeyFrameSums:
+    """Sums over the key frames with their robust weights; `own`: the load's own time at given times."""
     used = keys.used
     rows, weight = keys.rows[:used], keys.weight[:used]
     if np.any((weight != 1.0) & (weight != 0.0)):
@@ -239,10 +235,10 @@ def gather(
     every = flat.T @ flat  # (n + 3, n + 3)
     each = np.ascontiguousarray(rows[..., -3:-1].swapaxes(1, 2)) @ rows  # (K, 2, n + 3)
     xe, ee, be = -each[..., :-3], each[..., -3:-1], -each[..., -1]
-    rest, spans = keys.rest[:used].astype(float), keys.spans(lately(keys.centre))
+    rest, spans = keys.rest[:used].astype(float), keys.spans(own(keys.centre))
     log = keys.force[:used] * rest[:, None]
     if np.isfinite(marginalised.time):
-        spans = spans.after(marginalised.time, marginalised.own + float(lately(np.array([marginalised.time]))[0]))
+        spans = spans.after(marginalised.time, float(own(np.array([marginalised.time]))[0]))
         xe, ee, be, log = (np.concatenate([np.zeros((1, *v.shape[1:])), v]) for v in (xe, ee, be, log))
         rest = np.concatenate([[0.0], rest])
     count = 3.0 * float(np.count_nonzero(weight))

@@ -70,13 +70,8 @@ def settings_for(observations: Observations, settings: OnlineSettings = OnlineSe
     memory, longer = _memory(error, 1.0), _memory(error, _LONGER)
     return replace(
         known,
-        force_noise=error.size,
-        force_white=_FAST * error.size,
-        force_walk=error.noise.walk,
-        force_memory=memory,
+        force=replace(error.noise, white=_FAST * error.size, coloured=error.size, tau=memory),
         memory_doubt=settings.memory_doubt * max(np.log(longer / memory) / np.log(_LONGER), _LEAST_DOUBT),
-        force_zero=error.noise.level,
-        force_load=error.noise.load,
     )
 
 

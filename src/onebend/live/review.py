@@ -13,7 +13,6 @@ import sys
 import threading
 import time
 import weakref
-from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,7 +23,7 @@ import numpy as np
 
 from onebend.errors import ObservationError, OnebendError
 from onebend.learning.start import start_of
-from onebend.live.history import ForceHistory, FrameReader, reader_of
+from onebend.live.history import FrameReader, reader_of
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.learner import OnlineLearner
 from onebend.live.replayed import replay
@@ -42,8 +41,6 @@ from onebend.report.sentences import say
 NO_TAGS = "no tag of recording.toml is in the picture"
 NO_PUSH = "the beam has not moved yet"
 ENDED = "the process that reviews the push ended; what was known goes on, and the next review starts another"
-HALF = 0.015  # s: the force of a frame is the mean of the rows that are as near
-LONGEST_GAP = 0.1  # s, to the nearest row where none is
 CLOCK_KNOWN = 0.02  # s, one sd: clocks that are stated so well need no match by the push
 
 
@@ -59,16 +56,6 @@ class Seen:
     @property
     def until(self) -> float:
         return float(self.tracks.time[-1])
-
-
-@dataclass(frozen=True)
-class Later:
-    """Frames and rows that came while a review was made."""
-
-    time: tuple[float, ...]  # s
-    corners: tuple[Array, ...]  # (m, 4, 2) px each
-    rows: Array  # (N, 3 or 4), from before the first of these frames
-    ahead: float  # s: as `FrameReader.stands_in`
 
 
 @dataclass(frozen=True)
@@ -193,42 +180,6 @@ def not_live(rec: Recording) -> str:
     return say("live: masses") if rec.beam.masses and rec.gravity is not None else ""
 
 
-@one_blas_thread
-def go_on(known: Reviewed, later: Later) -> Reviewed:
-    """The review with what came since taught to its learner."""
-    if known.learner is None or known.reader is None or not later.time:
-        return known
-    log = ForceHistory(max(len(later.rows), 1), later.rows.shape[1])
-    log.add(later.rows)
-    for when, corners in zip(later.time, later.corners, strict=True):
-        logged = logged_at(log, known.reader, when, known.reader.stands_in(later.ahead))
-        teach(known.learner, known.reader, when, corners, logged)
-    return replace(known, until=later.time[-1])
-
-
-def logged_at(log: ForceHistory, reader: FrameReader, time: float, stands_in: float) -> Array:
-    """(2,) or (3,) of the log at `time` [s, the frames' clock]; NaN where it says nothing. Up to `stands_in` [s] after
-    its newest row that one counts."""
-    wanted = time + reader.offset
-    if len(log) and wanted - log.newest <= stands_in:
-        wanted = min(wanted, log.newest)
-    return log.mean_near(wanted, HALF, LONGEST_GAP)
-
-
-def teach(
-    learner: OnlineLearner, reader: FrameReader, time: float, corners: Array, logged: Array
-) -> Sequence[str] | None:
-    """Update the learner with a frame at `time` [s, the frames' clock]; the doubts it then has. None where there was
-    nothing to learn in it."""
-    frame = reader.frame(time, corners, logged)
-    if frame is None:
-        return None
-    try:
-        return learner.update(**vars(frame)).doubts
-    except OnebendError:  # a frame not newer than the last, a covariance without meaning: the next one will do
-        return None
-
-
 # Who makes the reviews of a stream: this process, at once, or another one beside it, so that no frame waits.
 
 NICE = 5  # added to the niceness of the process that reviews
@@ -239,110 +190,81 @@ class Reviewer:
 
     def __init__(self, observing: ObserveSettings, learning: OnlineSettings) -> None:
         self._settings = observing, learning
-        self._made: Reviewed | None = None
+        self._made: SimpleQueue[Reviewed] = SimpleQueue()
+        self.busy = False
         self.spent = 0.0  # s of this process's time that reviews took so far
 
-    @property
-    def busy(self) -> bool:
-        return self._made is not None
-
     def begin(self, seen: Seen) -> None:
-        begun = time.thread_time()
-        self._made = review(seen, *self._settings)
+        begun, self.busy = time.thread_time(), True
+        self._made.put(review(seen, *self._settings))
         self.spent += time.thread_time() - begun
 
-    def result(self, since: Callable[[Reviewed], Later]) -> Reviewed | None:  # noqa: ARG002 (nothing came meanwhile)
-        """The review, once it is made; `since` gives what came after its last frame. Does not wait."""
-        made, self._made = self._made, None
+    def result(self) -> Reviewed | None:
+        """The review, once it is made. Does not wait."""
+        try:
+            made = self._made.get_nowait()
+        except Empty:
+            return None
+        self.busy = False
         return made
 
     def close(self) -> None:
         """End it; nothing more may be begun."""
-        self._made = None
 
 
 class ReviewerBeside(Reviewer):
-    """Reviews in a process of its own, which ends with this object, or with its parent. Frames that came meanwhile are
-    sent after each review, so that its learner is nearly up to date."""
+    """Reviews in a process of its own, which ends with this object, or with its parent."""
 
     def __init__(self, observing: ObserveSettings, learning: OnlineSettings) -> None:
         super().__init__(observing, learning)
-        self._process: subprocess.Popen[bytes] | None = None
-        self._answers: SimpleQueue[Reviewed | None] = SimpleQueue()
-        self._messages: SimpleQueue[bytes] = SimpleQueue()
-        self._until, self._caught_up, self._busy = 0.0, False, False
         self._start()  # it loads what it needs while the first frames come
 
-    @property
-    def busy(self) -> bool:
-        return self._busy
-
     def begin(self, seen: Seen) -> None:
-        self._until, self._caught_up, self._busy = seen.until, False, True
-        if self._process is None or self._process.poll() is not None:
+        self.busy = True
+        if self._process.poll() is not None:
             self._start()
-        self._send(seen)
-
-    def result(self, since: Callable[[Reviewed], Later]) -> Reviewed | None:
-        try:
-            made = self._answers.get_nowait()
-        except Empty:
-            return None
-        if made is None:
-            self.close()
-            return Reviewed(self._until, ENDED)
-        if self._caught_up or made.reader is None:
-            self._busy = False
-            return made
-        self._caught_up = True
-        self._send(since(made))
-        return None
+        threading.Thread(target=_ask, args=(self._process, seen, self._made), daemon=True).start()
 
     def close(self) -> None:
         self._end()
-        self._process, self._busy = None, False
 
     def _start(self) -> None:
-        self._answers, self._messages = SimpleQueue(), SimpleQueue()
         path = os.pathsep.join(one or str(Path.cwd()) for one in sys.path)
         with interrupts_held():
-            self._process = process = subprocess.Popen(
+            self._process = subprocess.Popen(
                 [sys.executable, "-c", "from onebend.live.review import serve; serve()"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 env={**os.environ, "PYTHONPATH": path},
             )
-        self._end = weakref.finalize(self, _end, process, self._messages)
-        threading.Thread(target=_listen, args=(process.stdout, self._answers), daemon=True).start()
-        threading.Thread(target=_write, args=(process.stdin, self._messages), daemon=True).start()
-        self._send(self._settings)
-
-    def _send(self, message: object) -> None:
-        self._messages.put(pickle.dumps(message))
+        self._end = weakref.finalize(self, _end, self._process)
+        _send(self._process.stdin, self._settings)
 
 
-def _end(process: subprocess.Popen[bytes], messages: SimpleQueue[bytes]) -> None:
-    messages.put(b"")
+def _send(stream: IO[bytes] | None, message: object) -> None:
+    assert stream is not None
+    pickle.dump(message, stream)
+    stream.flush()
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
     process.kill()
     process.wait()
+    for stream in (process.stdin, process.stdout):
+        with suppress(OSError, ValueError):  # what was not written yet is lost
+            assert stream is not None
+            stream.close()
 
 
-def _write(stream: IO[bytes], messages: SimpleQueue[bytes]) -> None:
-    """Pass on what is to be sent: a pipe takes no more at once than the other side reads. Empty bytes are the end."""
-    with suppress(OSError):  # the process ended: `_listen` notices
-        while data := messages.get():
-            stream.write(data)
-            stream.flush()
-    with suppress(OSError):
-        stream.close()
-
-
-def _listen(stream: IO[bytes], answers: SimpleQueue[Reviewed | None]) -> None:
-    """Pass on what the process answers; None when it ends."""
-    with suppress(EOFError, OSError, pickle.UnpicklingError), stream:
-        while True:
-            answers.put(pickle.load(stream))
-    answers.put(None)
+def _ask(process: subprocess.Popen[bytes], seen: Seen, made: SimpleQueue[Reviewed]) -> None:
+    """Put the answer of the process into `made`; a pipe takes no more at once than the other side reads."""
+    assert process.stdout is not None
+    try:
+        _send(process.stdin, seen)
+        made.put(pickle.load(process.stdout))
+    except (EOFError, OSError, ValueError, pickle.UnpicklingError):
+        _end(process)
+        made.put(Reviewed(seen.until, ENDED))
 
 
 def serve() -> None:
@@ -352,16 +274,12 @@ def serve() -> None:
         os.nice(NICE)
     inward, outward = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what is printed by mistake is no answer
-    made = Reviewed(-np.inf)
     with suppress(EOFError, OSError):
         settings: Any = pickle.load(inward)
         while True:
-            message = pickle.load(inward)
+            seen: Seen = pickle.load(inward)
             try:
-                made = review(message, *settings) if isinstance(message, Seen) else go_on(made, message)
+                made = review(seen, *settings)
             except Exception as error:  # the next review may do
-                until = message.until if isinstance(message, Seen) else made.until
-                made = Reviewed(until, say("live: review failed", wrong=f"{type(error).__name__}: {error}"))
-            # after a review what came meanwhile is taught first
-            pickle.dump(replace(made, learner=None) if isinstance(message, Seen) else made, outward)
-            outward.flush()
+                made = Reviewed(seen.until, say("live: review failed", wrong=f"{type(error).__name__}: {error}"))
+            _send(outward, made)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -19,6 +19,7 @@ from onebend.cli import BY, common
 from onebend.many import batch as batches, population_report
 from onebend.many.batch import BatchOutcome, run_batch
 from onebend.many.population import TABLES, read_batch, read_tolerance
+from onebend.options import option
 from onebend.report.wording import significant
 from onebend.results.provenance import inputs_of
 from onebend.text_files import one_line
@@ -95,33 +96,32 @@ Results = Annotated[
     Path,
     typer.Option("--output", "-o", metavar="RESULTS", help="Folder for the results; an interrupted run continues."),
 ]
-Workers = Annotated[
-    int | None, typer.Option("--workers", min=1, metavar="N", help="Number of processes; default: one per core.")
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option("--scheduler", metavar="ADDRESS", help="Dask cluster that sees these folders under the same paths."),
-]
-Folders = Annotated[
-    bool, typer.Option("--folders", help="Also write a results folder of each recording, without pictures.")
-]
+
+
+@dataclass(frozen=True)
+class BatchOptions:
+    """Who learns, and what is written."""
+
+    workers: int | None = option(
+        "--workers", None, "Number of processes; default: one per core.", metavar="N", within=(1, None)
+    )
+    scheduler: str | None = option(
+        "--scheduler", None, "Dask cluster that sees these folders under the same paths.", metavar="ADDRESS"
+    )
+    folders: bool = option("--folders", False, "Also write a results folder of each recording, without pictures.")
 
 
 def batch(
     source: Source,
     *,
     output: Results,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    folders: Folders = False,
+    asked: BatchOptions,
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
     with common.clean_errors():
         with common.progress_of(quiet) as progress:
-            outcome = run_batch(
-                source, output, workers=workers, scheduler=scheduler, folders=folders, progress=progress
-            )
+            outcome = run_batch(source, output, **vars(asked), progress=progress)
         summary = batches.summary_of(outcome, written_by=BY)
         batches.write_batch(outcome, summary, version=onebend.__version__)
     common.answer(as_json, summary, lambda console: show_batch(console, outcome), output)

@@ -24,8 +24,9 @@ from scipy.special import log_ndtr, ndtr, ndtri, stdtrit
 from onebend.errors import ResultsError
 from onebend.files.publish import SUMMARY, changed_files, read_summary
 from onebend.progress import one_blas_thread
+from onebend.recording.tables import read_columns
 from onebend.records import Array, BoolArray, IntArray
-from onebend.text_files import csv_rows, quoted
+from onebend.text_files import quoted
 
 # Input.
 
@@ -685,26 +686,16 @@ class Judgement:
 
 
 def read_tolerance(path: Path) -> Tolerance:
-    """From a CSV with `s, low_N_m, high_N_m`. Raises `ResultsError` with the line."""
-    rows = list(csv_rows(path, ResultsError))
-    header = [name.strip() for name in rows[0][1]] if rows else []
-    if absent := [name for name in COLUMNS if name not in header]:
-        raise ResultsError(f"{path} has no column {absent[0]}. A tolerance has {', '.join(COLUMNS)}")
-    at = [header.index(name) for name in COLUMNS]
-    values: list[list[float]] = []
-    for line, cells in rows[1:]:
-        try:
-            s, low, high = (float(cells[i]) for i in at)
-        except (ValueError, IndexError):
-            raise ResultsError(f"{path}, line {line}: {', '.join(COLUMNS)} are three numbers. Write them") from None
-        if not (0.0 <= s <= 1.0 and 0.0 < low < high < np.inf):
-            raise ResultsError(f"{path}, line {line}: s is from 0 to 1, and 0 < low_N_m < high_N_m. Correct it")
-        if values and s <= values[-1][0]:
-            raise ResultsError(f"{path}, line {line}: s does not grow from line to line. Sort the lines")
-        values.append([s, low, high])
-    if len(values) < 2:
-        raise ResultsError(f"{path} has {len(values)} lines of numbers; a band needs two or more. Add some")
-    return Tolerance(*np.array(values).T)
+    """From a CSV with `s, low_N_m, high_N_m`. Raises `RecordingError` with the line."""
+    table = read_columns(path, COLUMNS, kind="tolerance", advice=lambda _: f"A tolerance has {', '.join(COLUMNS)}.")
+    s, low, high = (table.numbers[name] for name in COLUMNS)
+    table.refuse(
+        ~((s >= 0.0) & (s <= 1.0) & (low > 0.0) & (low < high)), "s is from 0 to 1, and 0 < low_N_m < high_N_m."
+    )
+    table.refuse(np.append(False, np.diff(s) <= 0.0), "s does not grow from line to line. Sort the lines.")
+    if len(s) < 2:
+        raise ResultsError(f"{path} has one line of numbers; a band needs two or more. Add some")
+    return Tolerance(s, low, high)
 
 
 def judge(objects: Objects, s: Array, common_sd: float, band: Tolerance, passes: float = PASSES) -> Judgement:

@@ -23,18 +23,7 @@ import numpy as np
 
 from onebend.errors import OnebendError, RecordingError, ResultsError, told
 from onebend.extras import package
-from onebend.files.publish import (
-    OWN_CHECKSUM,
-    abandon,
-    finish,
-    is_unchanged,
-    prepare,
-    publish,
-    read_object,
-    read_summary,
-    sha256_of,
-    with_checksum,
-)
+from onebend.files import publish as publishing
 from onebend.files.single_file import write_file
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import Nuisance
@@ -207,7 +196,7 @@ class Record:
 
 def hash_of(files: Iterable[Path], made_with: Mapping[str, Any]) -> str:
     """SHA-256 of contents, names and settings, the same on every machine. Raises `OSError`."""
-    entries = sorted((path.name, sha256_of(path)) for path in dict.fromkeys(files))
+    entries = sorted((path.name, publishing.sha256_of(path)) for path in dict.fromkeys(files))
     text = json.dumps({"files": entries, "with": made_with}, sort_keys=True, default=str)
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
@@ -243,16 +232,16 @@ def record_path(out: Path, hashed: str) -> Path:
 
 def write_record(out: Path, record: Record) -> None:
     """Completely or not at all. Raises `ResultsError`."""
-    text = json.dumps(with_checksum({"format": FORMAT, **to_data(record)}))
+    text = json.dumps(publishing.with_checksum({"format": FORMAT, **to_data(record)}))
     write_file(record_path(out, record.hash), text + "\n", overwrite=True)
 
 
 def read_record(out: Path, hashed: str) -> Record | None:
     """None if absent or changed."""
-    data = read_object(record_path(out, hashed), LARGEST)
-    if data is None or not is_unchanged(data) or (data.get("format"), data.get("hash")) != (FORMAT, hashed):
+    data = publishing.read_object(record_path(out, hashed), LARGEST)
+    if data is None or not publishing.is_unchanged(data) or (data.get("format"), data.get("hash")) != (FORMAT, hashed):
         return None
-    return Record(**fields_from(Record, {name: data[name] for name in set(data) - {"format", OWN_CHECKSUM}}))
+    return Record(**fields_from(Record, {name: data[name] for name in set(data) - {"format", publishing.OWN_CHECKSUM}}))
 
 
 FOLDERS = "recordings"  # with `folders`
@@ -353,7 +342,7 @@ def folder_path(item: Item, out: Path) -> Path:
 
 
 def _has_folder(item: Item, out: Path, hashed: str) -> bool:
-    summary = read_summary(folder_path(item, out))
+    summary = publishing.read_summary(folder_path(item, out))
     return summary is not None and summary.get("record") == hashed
 
 
@@ -364,13 +353,13 @@ def _write_folder(item: Item, run: Run, settings: TaskSettings, files: tuple[Inp
     write: Callable[[Path], None] = learned_writer(
         run, Pictures(), summary, version=settings.version, made_from=made_from
     )
-    place = prepare(folder_path(item, settings.out), kind=LEARN_FORMAT, overwrite=True)
+    place = publishing.prepare(folder_path(item, settings.out), kind=LEARN_FORMAT, overwrite=True)
     try:
-        publish(place, write, made_from)
+        publishing.publish(place, write, made_from)
     except BaseException:
-        abandon(place)
+        publishing.abandon(place)
         raise
-    finish(place)
+    publishing.finish(place)
 
 
 # Tasks in processes of their own.

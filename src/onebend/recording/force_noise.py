@@ -46,17 +46,18 @@ class LoadChange:
         return np.clip((time - self.begin) / max(self.end - self.begin, 1e-9), 0.0, 1.0)
 
 
-def load_changes(time: Array, size: Array, loaded: BoolArray) -> list[LoadChange]:
-    """Changes of the load in order, from the tags' displacement (T,) at `time` (T,) [s] and contact (T,)."""
-    largest = float(np.max(size, initial=0.0))
+def load_changes(time: Array, size: Array, loaded: BoolArray, largest: float = 0.0) -> list[LoadChange]:
+    """Changes of the load in order, from the tags' displacement (T,) at `time` (T,) [s] and contact (T,); `largest`: it
+    is at least so large."""
+    largest = float(np.max(size, initial=largest))
     changes: list[LoadChange] = []
     for first, last in runs(loaded) if largest > 0.0 else ():
         part, when = size[first:last], time[first:last]
         moved = np.flatnonzero(part > CLEAR * largest)
-        if not len(moved):
+        if not len(moved) and last < len(time):
             continue
         turns = turning_points(part, TURN * largest)
-        changes.append(LoadChange(float(when[0]) - EARLY, float(when[moved[0]]), release=False))
+        changes.append(LoadChange(float(when[0]) - EARLY, float(when[np.append(moved, -1)[0]]), release=False))
         ends = [0, *turns, len(part) - 1]
         for before, turn, after in zip(ends, ends[1:], ends[2:], strict=False):
             from_turn = np.abs(part - part[turn])

@@ -13,20 +13,34 @@ from typing import Any
 import numpy as np
 import pypdfium2
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.path import Path as Outline
 from typer.testing import CliRunner
 
 from onebend.cli import app
 from onebend.errors import MechanicsError, RecordingError
-from onebend.lab.sheet import LEFT, PAGES, RULER, Fill, Page, Sheet, files_of, strip_page, tag_pages
+from onebend.lab.sheet import LEFT, PAGES, RULER, Sheet, blank_page, files_of, strip_page, tag_pages
 from onebend.recording.entries import FAMILIES, BeamEntry, Recording, TagEntry, TagsEntry
+from onebend.records import Array
 from tests.lab.printed import black_run, page_image, tags_in
 
 WITHIN = 0.05  # mm
 PDF, SVG = Path("t.pdf"), Path("t.svg")
 
 
-def pdf(pages: Sequence[Page], title: str) -> bytes:
+def pdf(pages: Sequence[Figure], title: str) -> bytes:
     return files_of(PDF, pages, title)[PDF]
+
+
+def fills(page: Figure) -> list[Array]:
+    """(n, 2) mm, the corners of each black outline."""
+    paths = [patch.get_path() for patch in page.axes[0].patches]
+    return [np.asarray(path.vertices)[path.codes != Outline.CLOSEPOLY] for path in paths]
+
+
+def size_of(page: Figure) -> Array:
+    """(2,) mm."""
+    return np.asarray(25.4 * page.get_size_inches())
 
 
 def recording(tags: TagsEntry, length: float = 0.15) -> Recording:
@@ -47,14 +61,14 @@ TAGS = TagsEntry(
 def test_tags_are_read_back_upright_and_at_their_size(page: str, size: float) -> None:
     ids = (0, 1, 2, 3, 4, 586)
     (made,) = tag_pages(Sheet(ids, size, page=page))
-    assert (made.width, made.height) == PAGES[page]
+    width, height = size_of(made)
+    assert (width, height) == pytest.approx(PAGES[page])
     image = page_image(pdf([made], "t"))
-    assert image.shape == pytest.approx((made.height * 600 / 25.4, made.width * 600 / 25.4), abs=1.0)
+    assert image.shape == pytest.approx((height * 600 / 25.4, width * 600 / 25.4), abs=1.0)
     found = tags_in(image)
     assert sorted(found) == sorted(ids)
-    fills = [mark for mark in made.marks if isinstance(mark, Fill)]
-    for tag, fill in zip(ids, fills, strict=True):
-        (left, top), (right, low) = fill.polygons.reshape(-1, 2).min(axis=0), fill.polygons.reshape(-1, 2).max(axis=0)
+    for tag, fill in zip(ids, fills(made), strict=True):
+        (left, top), (right, low) = fill.min(axis=0), fill.max(axis=0)
         assert right - left == pytest.approx(1e3 * size)
         corners = [[left, low], [right, low], [right, top], [left, top]]  # counter-clockwise from the bottom-left
         np.testing.assert_allclose(found[tag], corners, atol=WITHIN)
@@ -76,9 +90,9 @@ def test_rulers_measure_what_they_say() -> None:
     (made,) = tag_pages(Sheet((0,)))
     image = page_image(pdf([made], "t"))
     line = 0.1  # mm, half of what the thick ends add
-    first, last = black_run(image, made.height - 14.0, LEFT - 5.0, LEFT + RULER + 5.0)
+    first, last = black_run(image, size_of(made)[1] - 14.0, LEFT - 5.0, LEFT + RULER + 5.0)
     assert last - first == pytest.approx(RULER, abs=WITHIN + 2 * line)
-    upright, bottom = image.T, made.height - 28.0
+    upright, bottom = image.T, size_of(made)[1] - 28.0
     first, last = black_run(upright, 11.0, bottom - RULER - 5.0, bottom + 5.0)
     assert last - first == pytest.approx(RULER, abs=WITHIN + 2 * line)
 
@@ -87,22 +101,22 @@ def test_more_tags_than_fit_go_on_to_another_page() -> None:
     sheet = Sheet(tuple(range(60)), 0.03)
     pages = tag_pages(sheet)
     assert len(pages) > 1
-    count = [sum(isinstance(mark, Fill) for mark in page.marks) for page in pages]
+    count = [len(fills(page)) for page in pages]
     assert sum(count) == 60
     assert len(set(count[:-1])) <= 1
     for page in pages:
-        corners = np.concatenate([m.polygons.reshape(-1, 2) for m in page.marks if isinstance(m, Fill)])
+        corners = np.concatenate(fills(page))
         assert corners.min() >= 10.0
-        assert np.all(corners.max(axis=0) <= np.array([page.width - 10.0, page.height - 10.0]))
+        assert np.all(corners.max(axis=0) <= size_of(page) - 10.0)
 
 
 def test_the_white_rim_is_left_free() -> None:
     sheet = Sheet((7,), 0.012, rim=2.0)
     (page,) = tag_pages(sheet)
-    (fill,) = [mark for mark in page.marks if isinstance(mark, Fill)]
-    low, high = fill.polygons.reshape(-1, 2).min(axis=0) - 3.0, fill.polygons.reshape(-1, 2).max(axis=0) + 3.0
-    bare = replace(page, marks=tuple(mark for mark in page.marks if not isinstance(mark, Fill)))
-    image = page_image(pdf([bare], "t"))
+    (fill,) = fills(page)
+    low, high = fill.min(axis=0) - 3.0, fill.max(axis=0) + 3.0
+    page.axes[0].patches[0].remove()
+    image = page_image(pdf([page], "t"))
     (x0, y0), (x1, y1) = (low * 600 / 25.4).astype(int), (high * 600 / 25.4).astype(int)
     assert np.all(image[y0:y1, x0:x1] == 255)
 
@@ -119,7 +133,8 @@ def test_a_strip_has_the_tags_at_their_places_and_turns() -> None:
 
 def test_a_long_beam_lies_across_the_page_and_a_longer_one_is_refused() -> None:
     page = strip_page(recording(TAGS, 0.24))
-    assert page.width > page.height
+    width, height = size_of(page)
+    assert width > height
     with pytest.raises(MechanicsError, match="does not fit on a4"):
         strip_page(recording(TAGS, 0.27))
     near = replace(TAGS, on_beam=(TagEntry(3, 0.5), TagEntry(4, 0.55)))
@@ -133,9 +148,9 @@ def test_svg_says_the_same_as_the_pdf() -> None:
     assert re.search(r'width="595.27\d*pt" height="841.88\d*pt"', text)
     assert "a &amp; b" in text
     outline = max(re.findall(r'd="([^"]*)"', text), key=len)
-    (fill,) = [mark for mark in page.marks if isinstance(mark, Fill)]
+    (fill,) = fills(page)
     found = np.array(re.findall(r"([-\d.]+) ([-\d.]+)", outline), dtype=float)
-    np.testing.assert_allclose(found * 25.4 / 72.0, fill.polygons.reshape(-1, 2), atol=1e-4)
+    np.testing.assert_allclose(found * 25.4 / 72.0, fill, atol=1e-4)
 
 
 def test_the_pdf_is_whole_and_the_same_each_time() -> None:
@@ -176,7 +191,7 @@ def test_an_id_beyond_the_family_is_refused() -> None:
 
 def test_a_file_of_another_kind_is_refused() -> None:
     with pytest.raises(MechanicsError, match=r"\.pdf or \.svg"):
-        files_of("t.png", [Page(210.0, 297.0, ())], "t")
+        files_of("t.png", [blank_page(210.0, 297.0)], "t")
 
 
 def test_the_command_prints_a_sheet(tmp_path: Path) -> None:

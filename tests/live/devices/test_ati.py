@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from onebend.errors import RecordingError
-from onebend.live import force_sensors
 from onebend.live.force_sensors import POUND, AtiForce, AtiScale, read_scale
 from onebend.live.sources import End, HostClock, Samples
 from onebend.live.specs import force_of
@@ -188,25 +187,6 @@ def answering(answer: Callable[[socket.socket], None]) -> Iterator[int]:
         thread.start()
         yield server.getsockname()[1]
     thread.join(10.0)
-
-
-@pytest.mark.parametrize("head", [b"", b"HTTP/1.0 200 OK\r\n\r\n"])
-def test_a_page_that_drips_is_given_up(head: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(force_sensors, "PAGE_SECONDS", 0.3)
-    enough = threading.Event()
-
-    def drip(peer: socket.socket) -> None:
-        peer.sendall(head)
-        for _ in range(1000):
-            peer.sendall(b" ")
-            if enough.wait(0.02):
-                return
-
-    with contextmanager(answering)(drip) as port:
-        with pytest.raises(RecordingError, match=r"cannot be read \(timed out\)"):
-            read_scale("127.0.0.1", port)
-        assert not enough.is_set()
-        enough.set()
 
 
 def test_nobody_is_asked_but_the_box(web: Any) -> None:

@@ -146,9 +146,9 @@ def test_a_bad_frame_is_refused_and_changes_nothing(where: int, value: object, w
         (-1.0, MARKERS, 0.03, OnlineSettings(), "length"),
         (0.15, [1.5], 0.03, OnlineSettings(), "tags"),
         (0.15, MARKERS, -0.03, OnlineSettings(), "positive"),
-        (0.15, MARKERS, 0.03, OnlineSettings(force_noise=0.0), "force_noise"),
+        (0.15, MARKERS, 0.03, OnlineSettings(force=replace(FEW.force, coloured=0.0)), "force"),
         (0.15, MARKERS, 0.03, OnlineSettings(key_frames=2), "key_frames"),
-        (0.15, MARKERS, 0.03, OnlineSettings(force_load=-0.01), "force_load"),
+        (0.15, MARKERS, 0.03, OnlineSettings(force=replace(FEW.force, load=-0.01)), "force"),
     ],
 )
 def test_a_learner_without_meaning_is_refused(

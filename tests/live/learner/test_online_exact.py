@@ -108,10 +108,14 @@ def test_covariance_of_averages_is_that_of_fine_samples() -> None:
 
 def textbook(made: Observations, settings: OnlineSettings, at_rest: Array, v: Array) -> Array:
     """-2 log posterior as a sum of squares, written out anew: v holds all parameters, then the force errors."""
-    o, noise, level = made, settings.force_noise, 0.05 * float(np.max(np.linalg.norm(made.force[made.loaded], axis=1)))
+    o, noise, level = (
+        made,
+        settings.force.coloured,
+        0.05 * float(np.max(np.linalg.norm(made.force[made.loaded], axis=1))),
+    )
     count, spline, t = len(o.time), Spline(settings.functions), made.time - made.time[0]
     slow = max(level, noise) ** 2 + (0.3 * noise) ** 2 * np.minimum(t[:, None], t)
-    fast = noise**2 * np.exp(-np.abs(t[:, None] - t) / settings.force_memory) + noise**2 * np.eye(count)
+    fast = noise**2 * np.exp(-np.abs(t[:, None] - t) / settings.force.tau) + noise**2 * np.eye(count)
     half = np.linalg.inv(np.linalg.cholesky(slow + fast))
     smoothness, p = np.linalg.cholesky(spline.precision(settings.roughness, settings.steps)).T, spline.count
     along, across, turn, clamp, origin = v[p : p + 3], v[p + 3 : p + 6], v[p + 6 : p + 9], v[p + 9], v[p + 10 : p + 12]
@@ -205,9 +209,7 @@ def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_no
     # Where the force error is one level, a folded frame says what it said.
     level = ForceNoise(level=0.05, walk=0.0, coloured=1e-9, tau=0.3, white=1e-4)
     whole = solve(gather(keys, never), prior, stiffness_prior, hyperparameters, level)
-    never.add(
-        likelihood_rows(keys, 0, 1.3, 1e-4), float(keys.end[0]), 0.0, slow=0.0, fast=fast_variance(level, 0.0, 1.0)
-    )
+    never.add(likelihood_rows(keys, 0, 1.3, 1e-4), float(keys.end[0]), slow=0.0, fast=fast_variance(level, 0.0, 1.0))
     keys.drop(0)
     folded = solve(gather(keys, never), prior, stiffness_prior, hyperparameters, level)
     np.testing.assert_allclose(folded.x, whole.x, rtol=1e-5, atol=1e-6)
@@ -225,7 +227,7 @@ def test_folding_over_and_over_leaves_what_exact_frames_say() -> None:
             3e4 * rng.normal(size=(9, 2)),
         )
         rows[:, -1] = rows[:, :n] @ x
-        marginalised.add(rows, 0.1 * i, 0.0, slow=2e-4, fast=1e-4)
+        marginalised.add(rows, 0.1 * i, slow=2e-4, fast=1e-4)
         if i % 100 == 99:
             root = np.linalg.inv(marginalised.rows[:, :-1])[:n]
             sd = np.sqrt(np.sum(root**2, axis=1))

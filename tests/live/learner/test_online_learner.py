@@ -17,12 +17,12 @@ from onebend.learning.posterior import fit
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.learner import OnlineLearner
 from onebend.live.replayed import replay
-from onebend.records import Array, Observations, StatedSection
+from onebend.records import Array, ForceNoise, Observations, StatedSection
 from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
 from tests.learning.test_posterior import wrong_force
 from tests.live.streamed_recording import IDEAL_LIVE, NOISE, PLAIN, S, any_beam, drawn, smooth_beam
 
-SIZES = {"force_noise": 0.003, "force_white": 0.001, "force_walk": 1e-6, "force_load": 1e-9}
+SIZES = ForceNoise(white=0.001, coloured=0.003, tau=0.3, walk=1e-6, load=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -53,7 +53,7 @@ def test_error_over_band_is_chi_square_over_seeds() -> None:
     that is averaged over all sizes that might be is right on the average over such beams (below), and too wide for
     even ones."""
     settings = replace(IDEAL_LIVE, functions=8, roughness=3.0, steps=0.1, adapt=False, marker_noise=1.0)
-    settings, total, seeds = replace(settings, **SIZES), 0.0, 8  # type: ignore[arg-type]
+    settings, total, seeds = replace(settings, force=SIZES), 0.0, 8
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
         log_k = smooth_beam(rng)
@@ -63,7 +63,7 @@ def test_error_over_band_is_chi_square_over_seeds() -> None:
 
 def test_so_it_is_where_all_sizes_are_drawn_and_learned() -> None:
     settings, total, seeds = replace(IDEAL_LIVE, functions=8, marker_noise=1.0), 0.0, 6
-    settings = replace(settings, **SIZES)  # type: ignore[arg-type]
+    settings = replace(settings, force=SIZES)
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
         log_k = any_beam(rng)
