@@ -8,12 +8,17 @@ FITS   := import sys; sys.exit(sys.version_info < (3, 11))
 PYTHON ?= $(firstword $(foreach name,python3 python3.14 python3.13 python3.12 python3.11 python,\
             $(shell $(name) -c '$(FITS)' 2>/dev/null && echo $(name))))
 
+# On all cores, file by file in the order of tests/conftest.py.
+BY_FILE := --numprocesses=auto --dist=loadfile --no-loadscope-reorder
+
 # What the tests need beside the core and the group `dev` of pyproject.toml.
 EXTRAS := calibrate ros sklearn studio
 
 # One BLAS thread: the arrays are small and batched; threads are used where they pay (tag detection).
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
+# Many tests start processes: their modules are compiled once.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help demo test test-all bench docs picture lock clean
 
@@ -34,10 +39,10 @@ test: $(TESTS)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest --numprocesses=auto --dist=loadfile
+	$(BIN)/pytest $(BY_FILE)
 
 test-all: $(TESTS)
-	$(BIN)/pytest --numprocesses=auto --dist=loadfile -m "" --cov=onebend --cov-report=term:skip-covered --cov-fail-under=90
+	$(BIN)/pytest $(BY_FILE) -m "" --cov=onebend --cov-report=term:skip-covered --cov-fail-under=90
 
 bench: $(TESTS)
 	$(BIN)/python -m benchmarks

@@ -9,7 +9,7 @@ import subprocess
 import sys
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 import pytest
@@ -20,7 +20,9 @@ from onebend import cli, load_model, load_observations, load_uncertain
 from onebend.cli import learning as learning_commands
 from onebend.learning.optimizer import FitSettings
 from onebend.pipeline import Run, learn
-from onebend.records import Observations, tags_among
+from onebend.recording.entries import VideoEntry
+from onebend.recording.tags import detect_tags
+from onebend.records import Detections, Observations, tags_among
 from onebend.results import detection_cache
 
 ROOT = Path(__file__).parents[1]
@@ -42,34 +44,50 @@ class Runs(NamedTuple):
     left_behind: list[str]
     finished: Result
     out: Path
+    kept: Path  # what was found in the films
 
 
 def learn_with(quick: FitSettings, *recordings: Path, **options: Any) -> Run:
     return learn(*recordings, **(options | {"fitting": quick}))
 
 
-def interrupted(*_: object, **__: object) -> None:
+def interrupted(*_: object, **__: object) -> NoReturn:
     raise KeyboardInterrupt
+
+
+def unless_train(video: VideoEntry, *given: Any, **more: Any) -> Detections:
+    """`detect_tags`, but for the film that was searched already."""
+    return interrupted() if video.file == EXAMPLE / "train" / "video.mp4" else detect_tags(video, *given, **more)
+
+
+def changed(folder: Path, name: str, old: str, new: str) -> Path:
+    """A recording of the example with another description."""
+    text = (EXAMPLE / name / "recording.toml").read_text(encoding="utf-8")
+    assert old in text
+    (folder / "recording.toml").write_text(text.replace(old, new), encoding="utf-8")
+    for file in ("video.mp4", "force.csv"):
+        (folder / file).symlink_to(EXAMPLE / name / file)
+    return folder
 
 
 @pytest.fixture(scope="session")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
     """Tags are found once: the second run must take them from what the first one kept."""
-    out = tmp_path_factory.mktemp("runs") / "linear"
-    command = ["learn", str(EXAMPLE / "train"), "-o", str(out), "--validate", str(EXAMPLE / "fast"), "--json"]
-    kept = str(tmp_path_factory.mktemp("kept"))
+    out, kept = tmp_path_factory.mktemp("runs") / "linear", tmp_path_factory.mktemp("kept")
+    bare = changed(tmp_path_factory.mktemp("bare"), "train", "[force]", "[outline]\nuse = false\n\n[force]")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ONEBEND_CACHE", kept)
+        patch.setenv("ONEBEND_CACHE", str(kept))
         patch.setattr(learning_commands, "draw_all", interrupted)
         quick = partial(learn_with, QUICK)  # of this run only the files are looked at
         patch.setattr(learning_commands, "learn_from", quick)
-        first = CliRunner().invoke(cli.app, command)
+        first = CliRunner().invoke(cli.app, ["learn", str(bare), "-o", str(out)])
         left = sorted(path.name for path in out.parent.rglob("*"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ONEBEND_CACHE", kept)
-        patch.setattr(detection_cache, "detect_tags", interrupted)
-        second = CliRunner().invoke(cli.app, [*command, "--force"])
-    return Runs(first, left, second, out)
+        patch.setenv("ONEBEND_CACHE", str(kept))
+        patch.setattr(detection_cache, "detect_tags", unless_train)
+        command = ["learn", str(EXAMPLE / "train"), "-o", str(out), "--validate", str(EXAMPLE / "fast")]
+        second = CliRunner().invoke(cli.app, [*command, "--json", "--force"])
+    return Runs(first, left, second, out, kept)
 
 
 def test_an_interrupted_run_says_what_it_kept(runs: Runs) -> None:
@@ -113,7 +131,8 @@ def test_the_learned_beam_follows_both_pushes(runs: Runs) -> None:
     assert max(summary["fit"]["fitted_rms_m"][0]) < 1.2e-4  # the fit itself, without the log's slow error
 
 
-def test_validate_gives_the_numbers_of_learn_again(runs: Runs, tmp_path: Path) -> None:
+def test_validate_gives_the_numbers_of_learn_again(runs: Runs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ONEBEND_CACHE", str(runs.kept))
     result = CliRunner().invoke(cli.app, ["validate", str(runs.out), str(EXAMPLE / "fast"), "--json", "--quiet"])
     assert result.exit_code == 0, result.output
     again, before = json.loads(result.stdout)["validation"], json.loads(runs.finished.stdout)["validation"]
@@ -122,12 +141,7 @@ def test_validate_gives_the_numbers_of_learn_again(runs: Runs, tmp_path: Path) -
 
 
 def test_validating_on_a_beam_of_another_length_is_refused(runs: Runs, tmp_path: Path) -> None:
-    other = tmp_path / "other"
-    other.mkdir()
-    text = (EXAMPLE / "fast" / "recording.toml").read_text(encoding="utf-8")
-    (other / "recording.toml").write_text(text.replace("length_m = 0.15", "length_m = 0.3"), encoding="utf-8")
-    for name in ("video.mp4", "force.csv"):
-        (other / name).symlink_to(EXAMPLE / "fast" / name)
+    other = changed(tmp_path, "fast", "length_m = 0.15", "length_m = 0.3")
     result = CliRunner().invoke(cli.app, ["validate", str(runs.out), str(other)])
     assert result.exit_code == 2
     assert "300 mm long, the learned one 150 mm" in result.stderr.replace("\n", " ")

@@ -18,6 +18,8 @@ from onebend.records import Observations, StatedSection
 from tests.learning.bench import SOFT, forces, in_family, observed
 from tests.made_up import with_stated
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 NOISE = (2e-5, 5e-4)
 
 

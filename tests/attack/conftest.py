@@ -1,4 +1,4 @@
-"""The program under attack, loaded once a module, and recordings to mutilate."""
+"""The program under attack, loaded once, and recordings to mutilate."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from tests.recording.tracked import track_folder
 EXAMPLE = Path(__file__).parents[2] / "examples" / "linear-beam" / "train"
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def victim() -> Iterator[Victim]:
     with Victim() as one:
         yield one
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of tracked markers, with nothing wrong."""
     return track_folder(tmp_path_factory.mktemp("sound") / "rec")

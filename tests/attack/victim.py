@@ -86,7 +86,8 @@ def serve() -> None:
     """Fork for every request that stands on standard input."""
     import onebend.cli
     import onebend.cli.learning
-    import onebend.cli.recordings  # noqa: F401  (loaded once, for every fork)
+    import onebend.cli.recordings
+    import onebend.report.figures  # noqa: F401  (loaded once, for every fork)
 
     for line in sys.stdin:
         arguments, folder, seconds, most_MB = json.loads(line)

@@ -49,6 +49,8 @@ from onebend.report.pictures import draw
 from onebend.results.model import save_model
 from onebend.text_files import to_json
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 WRIST, CUBIC, UNIFORM = (
     setup_of(known_beam(name), [FilmRequest(sensor="wrist", seconds=4.0)], known_to=Tolerances(clock_sd=0.01))
     for name in ("linear", "cubic", "uniform")

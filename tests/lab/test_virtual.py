@@ -24,6 +24,8 @@ from onebend.lab.virtual import (
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 S = np.linspace(0.05, 0.9, 60)
 BEAM = Beam(0.15, random_stiffness("smooth", np.random.default_rng(3)))
 PUSH = PushProfile(force_that_bends(BEAM, 1.0, 1.75))

@@ -48,9 +48,7 @@ def observed(
     count = len(force)
     sd = np.array([max(noise[0], 1e-5), max(noise[0], 1e-5), max(noise[1], 1e-4)])
     return Observations(
-        source=Source(
-            name="made",
-        ),
+        source=Source(name="made", place_seen=True),  # no fit asks for other places of the push
         stated=Stated(
             rest="straight",
             mass=np.nan,

@@ -24,6 +24,8 @@ from tests.learning.bench import IDEAL, forces, observed
 from tests.learning.known_bench import DIAMETER, LENGTH, MODULUS, S, learned, read, rod
 from tests.made_up import with_stated
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 SECTION = 'stiffness_along = "section"\nsection_file = "section.csv"\n'
 AT = np.linspace(0.0, 1.0, 41)
 STATED = StatedSection("circle", S, DIAMETER, DIAMETER, 2e-4)

@@ -16,6 +16,8 @@ from onebend.report.overview import overview
 from onebend.report.sentences import modulus_unit, worded
 from tests import made_up
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 WEIGHTS = Path(__file__).parents[2] / "examples" / "hung-weights"
 ENDS, S = np.array([0.0, 1.0]), np.linspace(0.0, 1.0, 11)
 BAR = StatedSection("rectangle", ENDS, np.full(2, 0.012), np.full(2, 0.03))

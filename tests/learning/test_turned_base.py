@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from onebend.beam.continuation import follow
 from onebend.beam.model import Beam
@@ -23,6 +24,8 @@ from onebend.records import Array, Observations
 from onebend.report.sentences import worded
 from tests.beam.turned_chain import Cable
 from tests.recording.turned import S, turned_folder, ways
+
+pytestmark = pytest.mark.usefixtures("no_other_places")
 
 PLACES = np.linspace(0.0, 1.0, 41)
 CABLE = Cable(0.5, lambda s: 0.015 * np.exp(0.6 * (0.5 - s)), 0.04, 0.02)

@@ -30,10 +30,12 @@ from tests.live.disturbed import Arrival, Disturbances, play
 from tests.live.followed import Followed, follow
 from tests.live.streamed import BEAM, OFFSET, described, frames, log
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 S = np.linspace(0.05, 0.9, 30)
 HERE = LiveSettings(first_review=4.0, review_growth=2.0)  # one review, in the middle of the push
 NEVER = LiveSettings(first_review=np.inf)
-QUICK = FitSettings(most_frames=60, first_frames=40)
+QUICK = FitSettings(functions=16, most_frames=60, first_frames=40)
 ROUGH = Disturbances(
     frames_lost=0.05,
     frames_late=0.05,

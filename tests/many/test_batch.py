@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -18,10 +19,11 @@ from onebend.errors import ResultsError
 from onebend.files.publish import changed_files, read_summary
 from onebend.lab.bench import ForceSensor, PushProfile
 from onebend.lab.filming import marker_recording
+from onebend.learning.optimizer import FitSettings
 from onebend.many import tasks as running
 from onebend.many.batch import BatchOutcome, run_batch, summary_of, write_batch
 from onebend.many.tasks import EVERY, PLACES, RECORDS, read_record, record_path, write_record
-from onebend.pipeline import learn
+from onebend.pipeline import Run, learn
 from onebend.progress import Silent
 from onebend.results.model import load_model
 from tests.many.stems import BEAM, K, bench, stem
@@ -40,11 +42,17 @@ def stems(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def learn_quickly(recording: Any, **more: Any) -> Run:
+    """As an ideal beam, with few functions."""
+    return learn(recording, **(more | {"fitting": FitSettings(functions=12, allowances=frozenset())}))
+
+
 @pytest.fixture(scope="module", autouse=True)
-def _in_this_process() -> Iterator[None]:
-    """The start of processes is not what is tested."""
+def _quickly_and_in_this_process(no_other_places: None) -> Iterator[None]:  # noqa: ARG001
+    """The start of processes and the fit are not what is tested."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(running, "available_cores", lambda: 1)
+        patch.setattr(running, "learn", learn_quickly)
         yield
 
 
@@ -59,7 +67,7 @@ def test_every_recording_is_a_row_as_learn_finds_it(stems: Path, done: BatchOutc
     table = {row["name"]: row for row in pq.read_table(done.out / "recordings.parquet").to_pylist()}
     assert set(table) == {"dry/one", "wet/two", f"wet/{NASTY}"}
     assert [table[name]["group"] for name in ("dry/one", "wet/two")] == ["dry", "wet"]
-    alone = learn(stems / "dry" / "one")
+    alone = learn_quickly(stems / "dry" / "one")
     curves = pq.read_table(done.out / "curves.parquet").to_pylist()
     k = np.array([row["k_N_m"] for row in curves if row["name"] == "dry/one"])
     assert alone.posterior is not None

@@ -25,6 +25,8 @@ from onebend.recording.observe import observe
 from onebend.records import Array, View
 from tests.recording.filmed import HEIGHT, LENGTH, SIZE, WIDTH, picture, view
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 BEAM = Beam(LENGTH, Table((0.0, 0.5, 1.0), (0.05, 0.03, 0.02)))
 S = np.array([0.0, 1 / 3, 2 / 3, 1.0])
 FORCE = np.stack([np.zeros(5), [0.0, 0.08, 0.16, 0.24, 0.32]], axis=1)

@@ -30,6 +30,8 @@ from onebend.report.overview import overview
 from onebend.report.verdict import validation_verdict
 from tests.recording.filmed import HEIGHT, SIZE, WIDTH, picture, view
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 LENGTH, MASS, K, HALF = 0.12, 0.02, 0.011, 0.003
 G = 9.81
 BODY, GROUND = (170, 60, 50), (40, 45, 60)

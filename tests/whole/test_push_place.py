@@ -35,6 +35,7 @@ from onebend.learning.verdict import fit_notices
 from onebend.records import Array
 from onebend.report.sentences import worded
 from tests.learning.bench import IDEAL, SOFT, forces, observed
+from tests.made_up import with_source
 
 NOISE = (2e-5, 1e-3)
 SETTINGS = replace(IDEAL, functions=16)
@@ -42,8 +43,8 @@ SETTINGS = replace(IDEAL, functions=16)
 
 @cache
 def fitted(acts: float, said: float) -> Posterior:
-    """SOFT, pushed at `acts`."""
-    seen = observed(SOFT, forces(40), at_s=acts, noise=NOISE)
+    """SOFT, pushed at `acts`; no film shows where."""
+    seen = with_source(observed(SOFT, forces(40), at_s=acts, noise=NOISE), place_seen=False)
     return fit([replace(seen, push_s=np.full(40, said))], 0.02, settings=SETTINGS)
 
 
@@ -230,8 +231,7 @@ def test_a_place_is_accused_where_other_tests_would_speak() -> None:
 def test_where_the_film_shows_the_tool_no_other_place_is_asked() -> None:
     one = fitted(0.75, 1.0)
     [seen] = one.recordings
-    o = seen.observations
-    shown = replace(seen, observations=replace(o, source=replace(o.source, place_seen=True)))
+    shown = replace(seen, observations=with_source(seen.observations, place_seen=True))
     assert search_place(replace(one.problem, recordings=(shown,)), one.optimum, SETTINGS) is None
 
 

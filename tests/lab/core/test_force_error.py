@@ -18,6 +18,8 @@ from onebend.records import Array, Observations
 from tests.learning.bench import IDEAL
 from tests.made_up import with_source, with_stated
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 PEAK = 0.4
 STIFFNESS = Powers((0.02, 0.004))
 BENCH = VirtualBench(Beam(0.15, STIFFNESS), PushProfile(PEAK, hold=0.6), sensor=ForceSensor(white_sd=0.003 * PEAK))

@@ -27,6 +27,8 @@ from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_virtual,
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 S = np.linspace(0.0, 1.0, 401)
 BEAM = Beam(0.15, random_stiffness("smooth", np.random.default_rng(3)))
 PUSH = PushProfile(force_that_bends(BEAM, 1.0, 1.75))

@@ -29,6 +29,8 @@ from tests.beam.held import hold
 from tests.learning.bench import IDEAL
 from tests.recording.tracked import ROD, ROD_S, pose_folder
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 G = 9.81
 DOWN = np.array([0.0, -1.0])
 ENDS = np.array([[0.38, -0.05, -0.4], [0.30, 0.1, 0.3], [0.25, -0.1, -1.5], [0.42, 0.02, 0.6]])

@@ -27,6 +27,8 @@ from tests.learning.bench import IDEAL
 from tests.made_up import with_stated
 from tests.recording.tracked import ROD, ROD_S, pose_folder
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 G = 9.81
 HUNG = np.linspace(0.0, 0.25, 6)  # N
 DOWN = np.array([0.0, -1.0])

@@ -31,6 +31,8 @@ from onebend.learning.prediction import predict
 from onebend.learning.start import start_of
 from onebend.records import Array, Observations, PointMass, Readings, Source, Stated
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 LENGTH, G, DOWN = 0.5, 9.81, np.array([0.0, -1.0])
 PLACES = np.array([0.2, 0.4, 0.6, 0.8, 1.0])
 FORCE = np.array([0.0, 0.08, 0.16, 0.24])[:, None] * DOWN

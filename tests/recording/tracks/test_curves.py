@@ -14,17 +14,18 @@ from onebend.beam.loads import push, weight
 from onebend.beam.problem import make_problem
 from onebend.errors import OnebendError
 from onebend.learning.posterior import fit
-from onebend.recording.curves import points_on
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe
 from onebend.recording.outline import PLACES, POINTS
-from onebend.recording.tracks import track_markers
+from onebend.recording.tracks import points_on, track_markers
 from onebend.records import Array
 from onebend.report.figures import check_png
 from onebend.report.overview import overview
 from tests.made_up import BEAM, LENGTH
 from tests.recording.pushed import Pushed, force_at, push as pushed
 from tests.recording.tracked import ROD, START, write_log
+
+pytestmark = pytest.mark.usefixtures("no_other_places")
 
 PUSHED = Pushed()
 S = np.linspace(0.0, 1.0, 41)

@@ -24,6 +24,8 @@ from onebend.records import Array, Observations
 from onebend.results.observations_file import load_observations, save_observations
 from tests.recording.tracked import ROD, ROD_S, pose_folder
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 G, DOWN = 9.81, np.array([0.0, -1.0])
 HUNG = np.linspace(0.0, 0.25, 6)  # N at the tip; the first pose is the bare one
 LOADS = "pose,s,weight_N\n" + "".join(f"{i},1,{w}\n" for i, w in enumerate(HUNG))

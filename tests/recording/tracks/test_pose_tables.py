@@ -30,6 +30,8 @@ from onebend.report.sentences import words
 from onebend.results.observations_file import load_observations, save_observations
 from tests.recording.tracked import ROD, ROD_S, pose_folder
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 G = 9.81
 HUNG = np.linspace(0.0, 0.25, 6)  # N at the tip
 TIP_LOADS = "pose,s,weight_N\n" + "".join(f"{i},1,{w}\n" for i, w in enumerate(HUNG))

@@ -21,6 +21,8 @@ from onebend.results.provenance import inputs_of, provenance
 from tests import made_up
 from tests.report.page.test_page import Links
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 EXAMPLE = Path(__file__).parents[3] / "examples" / "hung-weights"
 
 
