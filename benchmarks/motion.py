@@ -19,8 +19,7 @@ from onebend.beam.loads import push
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Table, UncertainStiffness, Uniform
 from onebend.beam.vibration import vibration
-from onebend.learning.swing import DampingSettings, SwingFit, learn_damping
-from onebend.learning.swing_frequencies import FilmPart
+from onebend.learning.swing import DampingSettings, FilmPart, SwingFit, learn_damping
 from onebend.pipeline import learn
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe

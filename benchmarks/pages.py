@@ -20,8 +20,8 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from benchmarks.shown import ROOT, put_block
 from onebend.cli import OPTIONS, Command, all_commands, as_data
-from onebend.recording.description import RECORDS
 from onebend.recording.entries import CameraInfoEntry, MassEntry, TagEntry
+from onebend.recording.folder import RECORDS
 from onebend.recording.schema import Key
 
 COMMON = 3  # commands that have an option with the same words, from which on it is explained once

@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[1]
 STAMPS = ROOT / "docs" / "shown.json"
 SOURCE = "src/onebend/"
 DEMO = ["learn", "examples/linear-beam/train", "--output", "out/linear-beam", "--validate", "examples/linear-beam/fast"]
-OF_A_RUN = ("cli/screens.py", "report/verdict.py", "report/wording.py")
+OF_A_RUN = ("cli/screens.py", "report/verdict.py", "report/sentences.py")
 LEARNING = ("beam", "recording", "learning")
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from onebend.cli import app, motion
+from onebend.cli import app, learning
 from onebend.records import Observations
 from onebend.results.model import save_model
 from tests.learning.bench import SOFT, forces, observed
@@ -29,8 +29,8 @@ def sense(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Resu
     def no_files(_: object) -> list[object]:
         return []
 
-    monkeypatch.setattr(motion, "_observed", observe)
-    monkeypatch.setattr(motion, "recording_files", no_files)
+    monkeypatch.setattr(learning, "_observed", observe)
+    monkeypatch.setattr(learning, "recording_files", no_files)
 
     def run(*options: str) -> Result:
         model, recording = str(tmp_path / "model.json"), str(tmp_path)
@@ -55,7 +55,7 @@ def test_a_bad_folder_is_refused_before_the_recording_is_read(
     def too_soon(*_: object) -> Observations:
         raise AssertionError("the recording is read")
 
-    monkeypatch.setattr(motion, "_observed", too_soon)
+    monkeypatch.setattr(learning, "_observed", too_soon)
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "thesis.tex").write_text("three years")
     for options, said in (((), "is not empty"), (("--overwrite",), "are not replaced")):

@@ -13,7 +13,7 @@ from benchmarks.paper import report, study
 from onebend.cli import BY, common
 from onebend.files.publish import write_summary
 from onebend.options import expanded
-from onebend.report.wording import UNKNOWN, millimetres
+from onebend.report.sentences import UNKNOWN, millimetres
 
 Out = Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for films, tables and report.")]
 Processes = Annotated[

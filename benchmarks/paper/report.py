@@ -21,8 +21,8 @@ from onebend.report.control_figures import draw_reach
 from onebend.report.figures import centreline, largest_push
 from onebend.report.page import render
 from onebend.report.pictures import Draw, Pictures, draw
+from onebend.report.sentences import UNKNOWN, length_words, millimetres, significant
 from onebend.report.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, hue_of, shape, styled
-from onebend.report.wording import UNKNOWN, length_words, millimetres, significant
 from onebend.results.tables import write_csv
 
 Cell = float | int | str

@@ -12,7 +12,7 @@ from onebend.beam.model import Beam
 from onebend.beam.setup import SetUp
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError, ResultsError
-from onebend.learning.contradictions import NO_MATERIAL
+from onebend.learning.attribution import NO_MATERIAL
 from onebend.learning.design import Plan, PlanSettings, plan
 from onebend.learning.frames import with_seen_tags
 from onebend.learning.frequencies import frequency_notices

@@ -23,7 +23,6 @@ from tests.attack.test_check import CASES as FILMS, ELSEWHERE
 from tests.attack.test_hostile_films import CASES as HOSTILE
 from tests.attack.test_hostile_text import CSV_CASES, FILE_CASES, MODEL_CASES, TOML_CASES
 from tests.attack.test_mistakes import CASES as MISTAKES
-from tests.attack.test_parquet import CASES as PARQUET
 from tests.attack.victim import Outcome, Victim
 from tests.made_up import BEAM
 from tests.recording.tracked import track_folder
@@ -75,7 +74,6 @@ TEXT = (*TOML_CASES, *CSV_CASES, *FILE_CASES)
 FAMILIES = (
     Family("text, check", TEXT, on_tracks, lambda _: ["check", "rec"]),
     Family("text, learn", TEXT, on_tracks, lambda _: LEARN, 400.0),
-    Family("Parquet, check", PARQUET, on_tracks, lambda _: ["check", "rec"]),
     Family("model.json, show", MODEL_CASES, on_model, lambda _: ["show", "model.json"]),
     Family("model.json, sense", MODEL_CASES, on_model_and_tracks, lambda _: ["sense", "model.json", "rec", "-q"]),
     Family("bags, check", BAGS, on_bag, lambda _: ["check", "rec"]),

@@ -16,8 +16,8 @@ from onebend.lab.designs import force_that_bends
 from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_virtual, virtual_recording
 from onebend.recording.camera import check_turns
 from onebend.recording.clock import fit_clock
-from onebend.recording.description import SECTIONS, camera_remarks, implausible
 from onebend.recording.entries import BeamEntry, CameraEntry, TagsEntry
+from onebend.recording.folder import SECTIONS, camera_remarks, implausible
 from onebend.recording.force_log import read_force_log, size_remarks, whole_log
 from onebend.records import ForceLog
 from tests.made_up import BEAM

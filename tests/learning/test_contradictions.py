@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from onebend.learning.contradictions import TRUSTED, Contradiction, doubt_of
+from onebend.learning.attribution import TRUSTED, Contradiction, doubt_of
 from onebend.learning.posterior import Posterior, fit
 from onebend.records import Observations, Remark, StatedSection
 from tests.learning.bench import SOFT, forces, observed

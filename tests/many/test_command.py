@@ -12,7 +12,7 @@ from typer.testing import CliRunner, Result
 
 from onebend import cli
 from onebend.many.tasks import TaskSettings, items_of, on_worker
-from onebend.report.wording import significant
+from onebend.report.sentences import significant
 from tests.many.stems import stem
 
 FILES = {

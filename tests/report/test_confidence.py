@@ -17,9 +17,8 @@ from onebend.report.confidence import (
     unidentified_words,
 )
 from onebend.report.page import band_card
-from onebend.report.sentences import say
+from onebend.report.sentences import say, significant
 from onebend.report.style import png_of
-from onebend.report.wording import significant
 from tests import made_up
 
 KNOTS = np.array([0.0, 0.0, 0.25, 0.5, 0.75, 1.0, 1.0])  # piecewise linear: the sd at a knot is its coefficient's

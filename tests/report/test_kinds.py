@@ -17,8 +17,7 @@ from onebend.records import KnownLoads
 from onebend.report.confidence import scale_words
 from onebend.report.figures import draw_all
 from onebend.report.page import cards, page
-from onebend.report.sentences import all_remarks
-from onebend.report.wording import assumptions, inputs, is_forced, kind_of, learned_from, millimetres
+from onebend.report.sentences import all_remarks, assumptions, inputs, is_forced, kind_of, learned_from, millimetres
 from tests import made_up
 from tests.made_up import with_source
 from tests.report.page.test_page import Links

@@ -23,7 +23,7 @@ from onebend.report.confidence import (
     one_modulus_words,
 )
 from onebend.report.page import page
-from onebend.report.wording import significant
+from onebend.report.sentences import significant
 from onebend.results.model import StoredModel
 from tests import made_up
 

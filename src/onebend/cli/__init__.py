@@ -59,14 +59,14 @@ COMMANDS = {
         group="Learn",
     ),
     "damp": Place(
-        "onebend.cli.motion:damp",
+        "onebend.cli.learning:damp",
         "Estimate a learned beam's damping from a free swing, and check k over mass.",
         "out/linear-beam out/released",
         "onebend film linear --push free --sensor wrist -o out/released",
         group="Learn",
     ),
     "sense": Place(
-        "onebend.cli.motion:sense",
+        "onebend.cli.learning:sense",
         "Estimate the force on a learned beam from its shape, frame by frame, with a 95 % region.",
         "out/linear-beam examples/linear-beam/fast",
     ),
@@ -105,7 +105,7 @@ COMMANDS = {
         group="Measure",
     ),
     "frequencies": Place(
-        "onebend.cli.motion:frequencies",
+        "onebend.cli.learning:frequencies",
         "Find the natural frequencies in a free swing, for recording.toml.",
         "examples/ruler/swing.csv",
         group="Measure",

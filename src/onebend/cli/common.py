@@ -38,7 +38,7 @@ from onebend.files.publish import OutputFolder, abandon, finish, prepare, publis
 from onebend.options import POSITIVE
 from onebend.progress import Progress, Silent
 from onebend.records import Array, Remark
-from onebend.report.wording import significant
+from onebend.report.sentences import significant
 from onebend.results.provenance import InputFile, inputs_of, provenance
 from onebend.text_files import printable, to_json
 

@@ -37,7 +37,7 @@ from onebend.control.shape import Grip, Pusher, ShapeResult, ShapeSettings, shap
 from onebend.control.trajectory_files import FRAME
 from onebend.errors import ControlError
 from onebend.options import POSITIVE, option
-from onebend.report.wording import length_words, significant
+from onebend.report.sentences import length_words, significant
 from onebend.results import control_files
 from onebend.results.model import model_file
 

@@ -15,7 +15,7 @@ from onebend.cli import common
 from onebend.errors import ControlError
 from onebend.options import option
 from onebend.records import Array
-from onebend.report.wording import significant
+from onebend.report.sentences import significant
 from onebend.results.model import StoredModel, model_file, model_summary, read_model
 
 HEAVY = 100.0  # m/s^2: more is another unit

@@ -25,10 +25,10 @@ from onebend.errors import ObservationError, RecordingError
 from onebend.files.single_file import check_name_free, check_replaceable, write_file
 from onebend.recording.bag_topics import FIELDS, BagContents, TopicRow, bag_contents
 from onebend.recording.calibration import NAMES, Board, BoardKind, Calibration, calibrate as calibrate_camera
-from onebend.recording.description import empty_values, key_at
+from onebend.recording.folder import empty_values, key_at
 from onebend.recording.schema import Place, place_name
 from onebend.recording.template import FoundInFiles, Kind, write_template
-from onebend.report.wording import significant
+from onebend.report.sentences import significant
 from onebend.text_files import to_json
 
 if TYPE_CHECKING:

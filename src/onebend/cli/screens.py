@@ -19,18 +19,16 @@ from onebend.cli.common import facts_table, force_words, listing, remarks_list, 
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Nuisance, Posterior
 from onebend.learning.run import Run
-from onebend.learning.swing import Damping, SwingFit
-from onebend.learning.swing_frequencies import FoundFrequencies
+from onebend.learning.swing import Damping, FoundFrequencies, SwingFit
 from onebend.learning.verdict import fitted_rms
 from onebend.records import Array, BoolArray, Observations
-from onebend.report import confidence, wording
-from onebend.report.sentences import all_remarks, pair_remarks, say, worded
+from onebend.report import confidence, sentences
+from onebend.report.sentences import all_remarks, millimetres, pair_remarks, say, significant, worded
 from onebend.report.verdict import hopeless, validation_verdict, verdict_of
-from onebend.report.wording import millimetres, significant
 from onebend.results.model import StoredModel
 
 if TYPE_CHECKING:
-    from onebend.learning.endings import Edge
+    from onebend.learning.sensing.contacts import Edge
     from onebend.learning.sensing.sense import Sensed
     from onebend.learning.sensing.sensor import SensorCheck
 
@@ -47,7 +45,7 @@ def selection_table(learned: Learned) -> Table:
     table.add_column("", overflow="fold")
     for i, trial in enumerate(learned.trials):
         chosen = i == learned.chosen
-        cells = [str(trial.n), str(trial.m), *errors[i], wording.bic_words(trial.bic)]
+        cells = [str(trial.n), str(trial.m), *errors[i], sentences.bic_words(trial.bic)]
         style = "bold green" if chosen else "dim" if trial.why_out else ""
         table.add_row("➤" if chosen else "", *cells, escape("chosen" if chosen else trial.why_out), style=style)
     return table
@@ -58,7 +56,7 @@ def _trial_errors(learned: Learned) -> tuple[list[str], list[list[str]]]:
         cells = [list(map(millimetres, trial.rms)) for trial in learned.trials]
         return [f"tag {tag}\n[mm]" for tag in learned.training.tag_id], cells
     worst = [float(np.max(np.nan_to_num(trial.rms, nan=-1.0))) for trial in learned.trials]
-    return ["worst tag [mm]"], [[millimetres(rms) if rms >= 0.0 else wording.UNKNOWN] for rms in worst]
+    return ["worst tag [mm]"], [[millimetres(rms) if rms >= 0.0 else sentences.UNKNOWN] for rms in worst]
 
 
 def comparison_table(comparisons: Sequence[Comparison], what: str) -> Table:
@@ -73,7 +71,7 @@ def comparison_table(comparisons: Sequence[Comparison], what: str) -> Table:
         for i, s in enumerate(one.marker_s):
             whose = (escape(one.name), str(len(one.frame))) if i == 0 else ("", "")
             beside = [f"[dim]{millimetres(rms)}[/]" for rms in (one.sensor_rms[i], one.likely_rms[i])]
-            table.add_row(*whose, wording.tag_words(one, i), f"{s:.3g}", millimetres(one.rms[i]), *beside)
+            table.add_row(*whose, sentences.tag_words(one, i), f"{s:.3g}", millimetres(one.rms[i]), *beside)
     return table
 
 
@@ -106,7 +104,7 @@ def band_table(
         table.add_row(Text(f"{name:>8}", "dim"), *(Text(*pair) for pair in zip(cells, styles, strict=True)))
 
     add("s", ["0 clamp", *(f"{value:.1f}" for value in s[1:-1]), "1 tip"])
-    k, low, high = ([wording.significant(float(value)) for value in one] for one in (band.k, band.low, band.high))
+    k, low, high = ([sentences.significant(float(value)) for value in one] for one in (band.k, band.low, band.high))
     rows: list[tuple[str, Sequence[str]]] = [("k [N m]", k)]
     if isinstance(known, UncertainStiffness):
         rows += [("±", half_widths(band)), ("from", low), ("to", high)]
@@ -146,9 +144,9 @@ def allowance_table(posterior: Posterior) -> Table:
 
 def stages_table(seconds: Mapping[str, float], video_seconds: float) -> Table:
     table = listing(f"Time (the video plays {video_seconds:.1f} s)", "<stage", "s", "of the video")
-    *stages, total = wording.stage_rows(seconds)
+    *stages, total = sentences.stage_rows(seconds)
     for name, value in (*stages, total):
-        cells = (escape(name), f"{value:.2f}", wording.percent(value, video_seconds))
+        cells = (escape(name), f"{value:.2f}", sentences.percent(value, video_seconds))
         table.add_row(*cells, style="bold" if name is total[0] else "")
     return table
 
@@ -192,7 +190,7 @@ def _edges(band: Band, shown: BoolArray, rows: int, *, log: bool) -> Array:
 def _mark(row: int, rows: int, edges: Array) -> str:
     if row not in (0, rows - 1):
         return " " * 9 + "│"
-    return f"{wording.significant(float(edges[-1] if row else edges[0])):>8} ┤"
+    return f"{sentences.significant(float(edges[-1] if row else edges[0])):>8} ┤"
 
 
 _AS_SAID = 5e-4  # of s: nearer is the stated place
@@ -270,10 +268,10 @@ def show_sensed(console: Console, found: Sensed, output: Path | None) -> None:
     else:
         table.add_row("largest force", f"{force_words(found.force[peak])}, at {found.time[peak]:.3f} s")
         weak = math.degrees(found.weak_angle[peak])
-        strong = wording.significant(1.96 * float(found.strong_sd[peak]))
+        strong = sentences.significant(1.96 * float(found.strong_sd[peak]))
         table.add_row("sure to within", f"± {strong} N at {(weak + 90.0) % 180.0:.0f} deg, where it is known best")
         table.add_row(
-            "", f"± {wording.significant(1.96 * float(found.weak_sd[peak]))} N at {weak:.0f} deg, where least (95 %)"
+            "", f"± {sentences.significant(1.96 * float(found.weak_sd[peak]))} N at {weak:.0f} deg, where least (95 %)"
         )
         share = 100.0 * found.prior_share[peak]
         weights = f"x {share[0]:.2g} %, y {share[1]:.2g} % (prior sd {found.prior_sd:.3g} N)"
@@ -288,7 +286,7 @@ def show_sensed(console: Console, found: Sensed, output: Path | None) -> None:
         table.add_row("misfit", f"{found.misfit.ratio:.3g} times the expected sum of squares")
     difference = found.against_log
     if difference is not None:
-        table.add_row("against the log", f"{wording.significant(difference[0])} N RMS where the force is known best")
+        table.add_row("against the log", f"{sentences.significant(difference[0])} N RMS where the force is known best")
     for row in sensor_rows(found.sensor):
         table.add_row(*row)
     console.print(table)
@@ -388,7 +386,7 @@ def _everything(run: Run) -> list[RenderableType]:
         parts.append(selection_table(run.learned))
     if run.posterior is not None:
         parts += _fit(run, run.posterior)
-    seen = not wording.only_frequencies(run.recordings)
+    seen = not sentences.only_frequencies(run.recordings)
     if seen:
         parts.append(comparison_table(run.trainings, "Learned from, force as logged"))
     if seen and run.posterior is not None:
@@ -401,7 +399,7 @@ def _everything(run: Run) -> list[RenderableType]:
 def _as_logged_words(run: Run, posterior: Posterior) -> list[str]:
     words = []
     for comparison, rms in zip(run.trainings, fitted_rms(posterior), strict=True):
-        largest = wording.millimetres(float(np.nanmax(rms)))
+        largest = sentences.millimetres(float(np.nanmax(rms)))
         text = f"{comparison.name}: the fit itself is within {largest} mm RMS of every tag."
         if not comparison.static:
             text += " The table is larger by the slow error of the force log, which the fit takes off."
@@ -469,7 +467,7 @@ def show_model(console: Console, stored: StoredModel, *, log: bool = False) -> N
     lowest = float(beam.stiffness(np.linspace(0.0, 1.0, 401)).min())
     if lowest <= 0.0:
         console.print(
-            f"[yellow]k(s) falls to {wording.significant(lowest)} N m: this is no beam and cannot be simulated.[/]"
+            f"[yellow]k(s) falls to {sentences.significant(lowest)} N m: this is no beam and cannot be simulated.[/]"
         )
     console.print(f"\nlength {1000 * beam.length:.4g} mm")
     if stored.damping is not None:

@@ -133,4 +133,4 @@ def as_csv(table: pa.Table) -> bytes:
 # Endings by which film and force log are guessed.
 
 FILMS = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".mpg", ".mpeg", ".mts", ".ts", ".wmv")
-LOGS = (".csv", ".parquet", ".pq")  # not .txt, which may be anything
+LOGS = (".csv",)  # not .txt, which may be anything

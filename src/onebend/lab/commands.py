@@ -30,9 +30,8 @@ from onebend.options import option
 from onebend.recording.entries import FAMILIES
 from onebend.recording.folder import read_recording
 from onebend.report.pictures import Draw, draw
-from onebend.report.sentences import say, worded
+from onebend.report.sentences import say, significant, worded
 from onebend.report.style import BLUE, INK, blank, styled
-from onebend.report.wording import significant
 from onebend.results.model import StoredModel, model_text
 from onebend.results.tables import PLACES, csv_rows
 from onebend.text_files import figure_text

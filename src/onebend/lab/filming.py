@@ -30,9 +30,8 @@ from onebend.lab.rod import RodMotion
 from onebend.progress import Progress, Silent, one_blas_thread, track
 from onebend.recording.bag_topics import BAG_KEYS
 from onebend.recording.camera import project
-from onebend.recording.description import FORMAT
 from onebend.recording.entries import FAMILIES, BeamEntry, ForceEntry, GravityEntry, MarkersEntry, Recording
-from onebend.recording.folder import FILE_NAME
+from onebend.recording.folder import FILE_NAME, FORMAT
 from onebend.recording.schema import Key, keys_of
 from onebend.recording.tag_finder import printed_tag
 from onebend.records import Array, ForceLog, View

@@ -37,7 +37,7 @@ from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.recording.camera import project
 from onebend.recording.signals import runs
 from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD, TURN_SD, Array, BoolArray, Rest
-from onebend.report.wording import direction_words
+from onebend.report.sentences import direction_words
 from onebend.results.model import FILE_NAME, read_model
 
 THIRDS = (1.0 / 3.0, 2.0 / 3.0, 1.0)

@@ -34,8 +34,8 @@ from onebend.learning.posterior import fit
 from onebend.learning.start import start_of
 from onebend.progress import Progress, Silent, in_processes, one_blas_thread, track
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, Observations
+from onebend.report.sentences import direction_words
 from onebend.report.style import BLUE, FAINT, INK, MUTED, ORANGE, blank, styled
-from onebend.report.wording import direction_words
 from onebend.results.tables import write_csv
 from onebend.text_files import figure_text
 

@@ -39,8 +39,7 @@ from onebend.learning.design import PLACES
 from onebend.options import POSITIVE, Only, option
 from onebend.progress import available_cores
 from onebend.report.pictures import draw
-from onebend.report.sentences import say
-from onebend.report.wording import significant, width_words
+from onebend.report.sentences import say, significant, width_words
 from onebend.results.control_files import loop_summary, write_loop
 from onebend.results.model import model_file
 from onebend.results.provenance import inputs_of

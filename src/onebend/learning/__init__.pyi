@@ -1,6 +1,5 @@
 from .allowances import Allowance as Allowance
-from .attribution import Attribution as Attribution
-from .contradictions import Contradiction as Contradiction
+from .attribution import Attribution as Attribution, Contradiction as Contradiction
 from .criticism import Criticism as Criticism, Finding as Finding, Score as Score, Suspect as Suspect
 from .design import (
     Limits as Limits,
@@ -10,10 +9,8 @@ from .design import (
     Quality as Quality,
     after_push as after_push,
     information as information,
-    information_along as information_along,
     plan as plan,
 )
-from .endings import Edge as Edge
 from .fit_data import AtRest as AtRest, FitData as FitData, OwnWeight as OwnWeight
 from .force_error import Filtered as Filtered, ForceError as ForceError
 from .frequencies import (
@@ -48,6 +45,7 @@ from .parameters import (
 from .posterior import Nuisance as Nuisance, Quantities as Quantities
 from .prediction import Prediction as Prediction, Slopes as Slopes, TagMotion as TagMotion, TagRide as TagRide
 from .push_place import PlaceSearch as PlaceSearch
+from .sensing.contacts import Edge as Edge
 from .sensing.forces import Misfit as Misfit
 from .sensing.sense import (
     ContactMoment as ContactMoment,
@@ -63,12 +61,10 @@ from .static_poses import HeldEnds as HeldEnds, SeenPoses as SeenPoses
 from .swing import (
     Damping as Damping,
     DampingSettings as DampingSettings,
-    Swing as Swing,
-    SwingFit as SwingFit,
-)
-from .swing_frequencies import (
     FilmPart as FilmPart,
     FoundFrequencies as FoundFrequencies,
+    Swing as Swing,
+    SwingFit as SwingFit,
     SwingFrequency as SwingFrequency,
     frequencies_of as frequencies_of,
 )

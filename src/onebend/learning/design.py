@@ -144,16 +144,6 @@ def information(beam: Beam, bench: Instruments, candidate: PlannedPush) -> Array
     return _of_coefficients(solved, beam, bench, candidate, on_nodes)
 
 
-@one_blas_thread
-def information_along(beam: Beam, bench: Instruments, candidate: PlannedPush) -> tuple[Array, Array]:
-    """Places s (Q,) and the Fisher information (Q,) on log k there, per s squared: a bump of height h over a width w
-    changes the log likelihood by h^2 w^2 / 2 times it. Raises `MechanicsError` without a stable equilibrium."""
-    solved = solve_push(beam, bench, candidate)
-    weights = solved.problem.weights
-    told = _of_coefficients(solved, beam, bench, candidate, np.diag(1.0 / weights))
-    return solved.problem.grid.nodes, np.diag(told)
-
-
 def force_covariance(bench: Instruments, candidate: PlannedPush) -> Array:
     """(2 STEPS, 2 STEPS) N^2 of the force error in the steps, x and y in turn, after the rests. A clock error acts as a
     force along the push."""

@@ -17,9 +17,8 @@ from onebend.beam.stiffness import SHAPE_PLACES, Band, Powers, Profile, Scaled, 
 from onebend.errors import LearningError
 from onebend.learning import optimizer
 from onebend.learning.allowances import BETWEEN, BETWEEN_SD
-from onebend.learning.attribution import Attribution, attributions
+from onebend.learning.attribution import Attribution, Contradiction, attributions, contradictions, doubt_of
 from onebend.learning.condensed import condensed
-from onebend.learning.contradictions import Contradiction, contradictions, doubt_of
 from onebend.learning.criticism import Criticism, criticise
 from onebend.learning.fit_data import FitData, following
 from onebend.learning.frames import check_same_beam, mass_profile, read_alone

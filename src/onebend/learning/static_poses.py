@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.beam.branches import stable_equilibria
 from onebend.beam.clamped_ends import end_pose, hold_near, with_end_wrench
-from onebend.beam.continuation import follow, let_fall, refine
+from onebend.beam.continuation import follow, let_fall, refine, stable_equilibria
 from onebend.beam.problem import Problem, Resolution
 from onebend.beam.sensitivity import of_force, of_moment, respond
 from onebend.beam.statics import Equilibrium, correct, is_convex, is_stable

@@ -32,8 +32,7 @@ from onebend.recording.tool import KeptSmall
 from onebend.recording.video import Picture
 from onebend.records import Array, ClockOffset, Remark
 from onebend.report.confidence import identified_ranges, identified_words, typical_half_width
-from onebend.report.sentences import say
-from onebend.report.wording import significant
+from onebend.report.sentences import say, significant
 
 # Frame by frame between two reviews: frames wait for their force, and are taught to the learner of the last review.
 

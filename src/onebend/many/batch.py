@@ -24,7 +24,7 @@ from onebend.many import tasks
 from onebend.progress import Progress, Silent, track
 from onebend.records import Array
 from onebend.report.page import render
-from onebend.report.wording import UNKNOWN, significant
+from onebend.report.sentences import UNKNOWN, significant
 from onebend.text_files import is_number, one_line, quoted, to_json
 
 # The outcome of a batch.

@@ -20,7 +20,7 @@ from onebend.many import batch as batches, population_report
 from onebend.many.batch import BatchOutcome, run_batch
 from onebend.many.population import TABLES, read_batch, read_tolerance
 from onebend.options import option
-from onebend.report.wording import significant
+from onebend.report.sentences import significant
 from onebend.results.provenance import inputs_of
 from onebend.text_files import one_line
 

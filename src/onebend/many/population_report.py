@@ -22,8 +22,8 @@ from onebend.progress import Progress, Silent
 from onebend.records import Array, BoolArray
 from onebend.report.page import render
 from onebend.report.pictures import Draw, Pictures, draw
+from onebend.report.sentences import UNKNOWN, significant
 from onebend.report.style import INK, MUTED, ORANGE, blank, hue_of, styled
-from onebend.report.wording import UNKNOWN, significant
 from onebend.text_files import figure_text, one_line
 
 MOST_COMPARED = 12  # groups up to which all pairs are compared; of more, each with the first

@@ -29,9 +29,8 @@ from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import Nuisance
 from onebend.pipeline import Run, learn
 from onebend.progress import available_cores, end_now, end_with_parent, interrupts_held
-from onebend.recording.description import HOMES
 from onebend.recording.entries import Recording
-from onebend.recording.folder import FILE_NAME, folder_of, read_recording
+from onebend.recording.folder import FILE_NAME, HOMES, folder_of, read_recording
 from onebend.recording.observe import ObserveSettings
 from onebend.records import Array
 from onebend.report.pictures import Pictures

@@ -242,8 +242,7 @@ class MarkersEntry:
     file: Path = key(
         'file = "markers.csv"',
         text,
-        "a CSV or Parquet table with columns time_s, id (of a curve order), x_m, y_m and, where known, z_m, angle_rad, "
-        "sd_m",
+        "a CSV table with columns time_s, id (of a curve order), x_m, y_m and, where known, z_m, angle_rad, sd_m",
     )
     start: float = key("start_s = 0.0", number(), "what to add to the tracker's time to get the force log's, s", nan)
     start_uncertainty: float = key(
@@ -286,7 +285,7 @@ class PosesEntry:
     file: Path = key(
         'file = "poses.csv"',
         text,
-        "a CSV or Parquet table with columns pose, id (of a curve order), y_m and, where known, x_m, angle_deg, sd_m; "
+        "a CSV table with columns pose, id (of a curve order), y_m and, where known, x_m, angle_deg, sd_m; "
         "one row a point",
     )
     loads: Path = key(

@@ -11,14 +11,13 @@ from typing import NoReturn
 import numpy as np
 
 from onebend.errors import ObservationError, RecordingError
-from onebend.recording.curves import curve_rows, points_on, stated_sd, vertices_of
 from onebend.recording.entries import Axes, PosesEntry, Recording
 from onebend.recording.force_log import refuse_other_unit, size_remarks
 from onebend.recording.outline import PLACES, POINTS
 from onebend.recording.schema import lines_of_keys
 from onebend.recording.stated import stated_in
 from onebend.recording.tables import Columns, read_columns
-from onebend.recording.tracks import chord_angles
+from onebend.recording.tracks import chord_angles, curve_rows, points_on, stated_sd, vertices_of
 from onebend.records import (
     POINT_ID,
     UNKNOWN_ANGLE_SD,

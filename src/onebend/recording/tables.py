@@ -1,4 +1,4 @@
-"""Tables of numbers on disk, CSV or Parquet: named columns, empty cells as NaN; errors name the row."""
+"""Tables of numbers on disk (CSV): named columns, empty cells as NaN; errors name the line."""
 
 from __future__ import annotations
 
@@ -6,20 +6,15 @@ import difflib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from onebend.errors import RecordingError
 from onebend.records import Array, IntArray
-from onebend.text_files import MOST_ROWS, QUOTED, csv_rows, listed_columns, quoted
+from onebend.text_files import QUOTED, csv_rows, listed_columns, quoted
 
-MOST_CELLS = 20_000_000  # of a Parquet table, which may be packed very small
-MOST_BYTES = 400_000_000  # of the same, unpacked
-LONGEST_WORD = 1000  # characters of a cell of the same; each may stand in every row
 EMPTY = ("", "nan", "na", "n/a", "-")  # a cell that holds no number
 LARGEST = 1e30  # of a number: nothing that is measured is larger, and squares stay numbers
-Cells = list[object] | np.ndarray  # of a column; an array holds numbers only
 
 
 @dataclass(frozen=True)
@@ -39,7 +34,7 @@ class Columns:
         """Raise `RecordingError` with the first row where `wrong` (N,)."""
         if np.any(wrong):
             row = int(self.rows[int(np.argmax(wrong))])
-            raise RecordingError(f"{_at(self.path, row)}: {text}")
+            raise RecordingError(f"{self.path}, line {row}: {text}")
 
 
 def read_columns(
@@ -59,7 +54,7 @@ def read_columns(
     Other columns are ignored; where `strict`, only those without a number. `kind` names the table in messages. In the
     columns `unknown` that word may stand for a number, and becomes infinity. `advice` is what to do where a column is
     missing, by the header; with `endless` an infinite number is none."""
-    cells, rows = _parquet(path) if _is_parquet(path) else _csv(path, (*labels, *needed, *known))
+    cells, rows = _csv(path, (*labels, *needed, *known))
     missing = [name for name in (*labels, *needed) if name not in cells]
     if missing:
         there = listed_columns(path, cells)
@@ -72,30 +67,21 @@ def read_columns(
         _refuse_others(path, cells, (*labels, *needed, *known), kind)
     wanted = [name for name in (*needed, *known) if name in cells]
     numbers = {name: _numbers(path, name, cells[name], rows, name in unknown, endless) for name in wanted}
-    return Columns(path, rows, numbers, {name: tuple(str(cell).strip() for cell in cells[name]) for name in labels})
+    return Columns(path, rows, numbers, {name: tuple(cell.strip() for cell in cells[name]) for name in labels})
 
 
 def read_every_column(path: Path, needed: str, *, kind: str = "table") -> Columns:
     """All columns that hold nothing but numbers and empty cells; `needed` must be one of them."""
-    cells, _ = _parquet(path) if _is_parquet(path) else _csv(path)
+    cells, _ = _csv(path)
     good = [name for name, column in cells.items() if all(_is_number(one) or _is_empty(one) for one in column)]
     return read_columns(path, (needed,), [name for name in good if name != needed], kind=kind)
 
 
-def _is_parquet(path: Path) -> bool:
-    return path.suffix.lower() in (".parquet", ".pq")
+def _is_empty(cell: str) -> bool:
+    return cell.strip().lower() in EMPTY
 
 
-def _at(path: Path, row: int) -> str:
-    """The place of a row of a table, for messages."""
-    return f"{path}, {'row' if _is_parquet(path) else 'line'} {row}"
-
-
-def _is_empty(cell: object) -> bool:
-    return cell is None or str(cell).strip().lower() in EMPTY
-
-
-def _refuse_others(path: Path, cells: dict[str, Cells], known: Sequence[str], kind: str) -> None:
+def _refuse_others(path: Path, cells: dict[str, list[str]], known: Sequence[str], kind: str) -> None:
     """An error where a column that is not known holds numbers: it is probably misnamed, or in another unit."""
     for name in (name for name in cells if name not in known):
         if any(_is_number(cell) for cell in cells[name]):
@@ -107,14 +93,14 @@ def _refuse_others(path: Path, cells: dict[str, Cells], known: Sequence[str], ki
             )
 
 
-def _is_number(cell: object) -> bool:
+def _is_number(cell: str) -> bool:
     try:
-        return bool(float(cell) == float(cell))  # type: ignore[arg-type]
-    except (TypeError, ValueError):
+        return float(cell) == float(cell)
+    except ValueError:
         return False
 
 
-def _csv(path: Path, once: Sequence[str] = ()) -> tuple[dict[str, Cells], IntArray]:
+def _csv(path: Path, once: Sequence[str] = ()) -> tuple[dict[str, list[str]], IntArray]:
     """Cells by column, empty lines left out, and the line of each row; the columns `once` must not stand twice."""
     lines, rows = [], []
     for line, row in csv_rows(path, RecordingError):
@@ -134,68 +120,23 @@ def _csv(path: Path, once: Sequence[str] = ()) -> tuple[dict[str, Cells], IntArr
     return {name: [row[i] for row in body] for i, name in enumerate(header) if name}, np.array(lines[1:], dtype=int)
 
 
-def _parquet(path: Path) -> tuple[dict[str, Cells], IntArray]:
-    import pyarrow as pa  # here: most tables are CSV, and Arrow takes a tenth of a second to load
-    import pyarrow.parquet as pq
-
-    try:
-        head, schema = pq.read_metadata(path), pq.read_schema(path)
-        if head.num_rows * max(head.num_columns, 1) > MOST_CELLS or head.num_rows > MOST_ROWS:
-            size = f"{head.num_rows} rows of {head.num_columns} columns"
-            raise RecordingError(f"{path}: {size} are more than can be read.")
-        nested = [field.name for field in schema if pa.types.is_nested(field.type)]
-        if nested:
-            raise RecordingError(
-                f"{path}: the column {quoted(nested[0])} holds lists. A cell is one number or one word."
-            )
-        size = sum(head.row_group(i).total_byte_size for i in range(head.num_row_groups))
-        if size > MOST_BYTES:
-            raise RecordingError(
-                f"{path}: unpacked it has {size / 1e6:.3g} MB; at most {MOST_BYTES / 1e6:.3g} are read."
-            )
-        words = [one.name for one in schema if not (pa.types.is_primitive(one.type) or pa.types.is_null(one.type))]
-        table = pq.read_table(path, read_dictionary=words)  # each word once, however often it stands there
-        for name in words:
-            _refuse_long_words(path, name, table[name])
-    except (pa.ArrowException, OSError) as wrong:
-        raise RecordingError(f"{path} cannot be read as Parquet ({wrong}). Export it anew, or as CSV.") from None
-    return {name: _cells(table[name]) for name in table.column_names}, np.arange(1, table.num_rows + 1)
-
-
-def _cells(column: Any) -> Cells:
-    """A column's cells: an array where all are numbers."""
-    import pyarrow as pa
-
-    numeric = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
-    cells: Cells = column.to_numpy() if numeric and column.null_count == 0 else column.to_pylist()
-    return cells
-
-
-def _refuse_long_words(path: Path, name: str, column: Any) -> None:
-    """Raise where a column of words, read as a dictionary, holds texts."""
-    for chunk in column.chunks:
-        words = chunk.dictionary.to_pylist() if hasattr(chunk, "dictionary") else chunk.to_pylist()
-        if any(word is not None and len(word) > LONGEST_WORD for word in words):
-            raise RecordingError(f"{path}: a cell of {name} has more than {LONGEST_WORD} characters.")
-
-
-def _numbers(path: Path, name: str, cells: Cells, rows: IntArray, unknown: bool, endless: bool) -> Array:
-    numbers = np.full(len(cells), np.nan) if isinstance(cells, list) else cells.astype(float)
+def _numbers(path: Path, name: str, cells: list[str], rows: IntArray, unknown: bool, endless: bool) -> Array:
+    numbers = np.full(len(cells), np.nan)
     words = np.zeros(len(cells), dtype=bool)  # cells that say that a number is unknown
-    for i, cell in enumerate(cells if isinstance(cells, list) else ()):
-        word = cell.strip().lower() if isinstance(cell, str) else cell
-        if word is None or (isinstance(word, str) and word in EMPTY):
+    for i, cell in enumerate(cells):
+        word = cell.strip().lower()
+        if word in EMPTY:
             continue
         try:
             words[i] = unknown and word == "unknown"
-            numbers[i] = np.nan if words[i] else float(word)  # type: ignore[arg-type]
-        except (TypeError, ValueError):
+            numbers[i] = np.nan if words[i] else float(word)
+        except ValueError:
             raise RecordingError(
-                f"{_at(path, rows[i])}: {name} is {quoted(cell)}, not a number. Correct it, or leave the cell empty."
+                f"{path}, line {rows[i]}: {name} is {quoted(cell)}, not a number. Correct it, or leave the cell empty."
             ) from None
     if endless:
         numbers[np.isinf(numbers)] = np.nan
     elif (huge := np.abs(numbers) > LARGEST).any():
-        where = f"{_at(path, rows[int(np.argmax(huge))])}: {name}"
+        where = f"{path}, line {rows[int(np.argmax(huge))]}: {name}"
         raise RecordingError(f"{where} is infinite, or beyond {LARGEST:g}. Leave it empty where unknown.")
     return np.where(words, np.inf, numbers)

@@ -14,7 +14,6 @@ import numpy as np
 
 from onebend.errors import OnebendError, RecordingError, ResultsError
 from onebend.files.single_file import FILMS, LOGS, write_file
-from onebend.recording.description import FORMAT, SECTIONS
 from onebend.recording.entries import (
     FAMILIES,
     BeamEntry,
@@ -25,7 +24,7 @@ from onebend.recording.entries import (
     TagsEntry,
     VideoEntry,
 )
-from onebend.recording.folder import FILE_NAME
+from onebend.recording.folder import FILE_NAME, FORMAT, SECTIONS
 from onebend.recording.force_log import OTHER_TIME, TIMES, likely_forces, unit_in_name
 from onebend.recording.schema import keys_of
 from onebend.text_files import csv_rows, to_json

@@ -19,9 +19,8 @@ from onebend.learning.run import Run
 from onebend.learning.verdict import possible, what_is_tested
 from onebend.recording.signals import runs
 from onebend.records import GAIN_SD, PLACE_SD, Array, Observations, StatedSection
-from onebend.report import wording
-from onebend.report.sentences import modulus_unit, odds, say, words
-from onebend.report.wording import millimetres, significant, span
+from onebend.report import sentences
+from onebend.report.sentences import millimetres, modulus_unit, odds, say, significant, span, words
 
 FACTOR = float(np.exp(half_width(IDENTIFIED_SD)))  # k is identified where it is known to this factor
 SMALL_SHARE = 0.05  # of the largest force: smaller errors under load are not mentioned
@@ -102,27 +101,27 @@ def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> li
     common = {"whose": "this recording says" if recordings == 1 else "these recordings say", "factor": FACTOR}
     if not ranges:
         return [say("nowhere", **common)]
-    sentences = []
+    told = []
     if ranges[0][0] > 0.0:
-        sentences.append(say("blind near the clamp", s=np.ceil(100 * ranges[0][0]) / 100, **common))
+        told.append(say("blind near the clamp", s=np.ceil(100 * ranges[0][0]) / 100, **common))
     gaps = [(before[1], after[0]) for before, after in pairwise(ranges)]
-    sentences += [say("blind between", low=low, high=high, **common) for low, high in gaps if high - low >= NARROW]
+    told += [say("blind between", low=low, high=high, **common) for low, high in gaps if high - low >= NARROW]
     narrow = [f"{0.5 * (low + high):.2f}" for low, high in gaps if high - low < NARROW]
     if narrow:
-        sentences.append(say("blind in places", places=", ".join(narrow), narrow=NARROW, **common))
+        told.append(say("blind in places", places=", ".join(narrow), narrow=NARROW, **common))
     if ranges[-1][1] < 1.0:
-        sentences.append(say("blind at the tip", s=ranges[-1][1], **common))
-    return sentences
+        told.append(say("blind at the tip", s=ranges[-1][1], **common))
+    return told
 
 
 def scale_words(gain_sd: float, recordings: Sequence[Observations]) -> str:
     """The source of the scale of k(s): force, loads or weight."""
-    if wording.only_frequencies(recordings):
+    if sentences.only_frequencies(recordings):
         return say("scale by mass")
-    forced = [one for one in recordings if wording.is_forced(one)]
+    forced = [one for one in recordings if sentences.is_forced(one)]
     if not forced:
         return say("scale by weight")
-    if not wording.only_static(forced):
+    if not sentences.only_static(forced):
         return say("gain", sd=gain_sd) if gain_sd > 0.0 else say("gain exact")
     sd = max(float(np.max(one.force_sd)) for one in forced)
     return say("loads", sd=significant(1e3 * sd)) if sd > 0.0 else say("loads exact")
@@ -173,7 +172,7 @@ def allowance_rows(posterior: Posterior) -> list[AllowanceRow]:
         AllowanceRow(
             name=share.name,
             widening=f"{share.widening:.2f}",
-            change=wording.change_words(share.shift),
+            change=sentences.change_words(share.shift),
             sds=f"{share.sds:.1f}",
             matters=share.matters,
         )
@@ -210,7 +209,7 @@ def model_test_rows(posterior: Posterior, most: int = 8) -> list[ModelTestRow]:
 def alarm_words(posterior: Posterior) -> str:
     """The threshold of the tests."""
     critic = possible(posterior).criticism
-    code = "alarm of poses" if wording.only_static([one.observations for one in posterior.recordings]) else "alarm"
+    code = "alarm of poses" if sentences.only_static([one.observations for one in posterior.recordings]) else "alarm"
     return say(code, tests=len(critic.able), odds=critic.alarm, written=max(critic.alarm, ALARM_WRITTEN))
 
 
@@ -224,11 +223,11 @@ def share_words(share: Attribution) -> str:
     """An allowance with its effect: `relaxation (ignoring it would shift k(s) by 9.8 %)`."""
     effects = []
     if share.sure and share.shift > SHIFTS:
-        change = wording.change_words(share.shift)
-        effects.append(say("share: another" if change == wording.ANOTHER else "share: left out", change=change))
+        change = sentences.change_words(share.shift)
+        effects.append(say("share: another" if change == sentences.ANOTHER else "share: left out", change=change))
     if share.widening > WIDENS:
         effects.append(say("share: wider", times=share.widening))
-    effects = effects or [say("share: open", change=wording.change_words(share.size))]
+    effects = effects or [say("share: open", change=sentences.change_words(share.size))]
     return f"{share.name} ({', '.join(effects)})"
 
 

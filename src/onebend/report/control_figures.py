@@ -18,8 +18,8 @@ from onebend.control.reach_set import ReachableSet
 from onebend.control.shape import ShapeResult
 from onebend.learning.sensing.sense import WIDE, Sensed
 from onebend.records import Array
+from onebend.report.sentences import significant
 from onebend.report.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, hue_of, plane, styled
-from onebend.report.wording import significant
 
 MM = 1000.0
 ARROW = 0.22  # of L, for the largest force

@@ -35,6 +35,15 @@ from onebend.recording.video import KeptFrames, roundest
 from onebend.records import POINT_ID, Array, BoolArray, ForceLog, Observations, View, tags_among
 from onebend.report.overview import SOFTWARE, Overview, tared
 from onebend.report.pictures import Draw, Pictures, draw, film_of, film_strip, reason_of
+from onebend.report.sentences import (
+    LEVELS,
+    highest_shown,
+    millimetres,
+    only_frequencies,
+    significant,
+    tag_words,
+    words_of,
+)
 from onebend.report.style import (
     BLUE,
     FAINT,
@@ -49,15 +58,6 @@ from onebend.report.style import (
     png_of,
     shape,
     styled,
-)
-from onebend.report.wording import (
-    LEVELS,
-    highest_shown,
-    millimetres,
-    only_frequencies,
-    significant,
-    tag_words,
-    words_of,
 )
 from onebend.text_files import figure_text
 

@@ -28,8 +28,7 @@ from onebend.recording.stated import stated_in
 from onebend.recording.tracks import read_tracks
 from onebend.recording.video import opened
 from onebend.records import Array, ForceLog, Markers, Observations, OutlineTrack, Remark
-from onebend.report.sentences import say, size_words
-from onebend.report.wording import counted, significant
+from onebend.report.sentences import counted, say, significant, size_words
 
 STEP, MOST_OFFSETS = 0.05, 2000  # s between tried clock offsets, and their largest number
 SURE = 0.9  # correlation of force and bending with which film and log show one push

@@ -1,10 +1,11 @@
-"""The sentences of `sentences.toml`, by code, with their numbers."""
+"""Numbers and sentences for people: those of `sentences.toml` by code, and those that depend on a whole run."""
 
 from __future__ import annotations
 
+import math
 import re
 import tomllib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from string import Formatter
@@ -12,12 +13,317 @@ from typing import Any, Literal
 
 import numpy as np
 
+from onebend.beam.stiffness import UncertainStiffness, half_width_words
+from onebend.learning.attribution import GROUPS
 from onebend.learning.design import Quality
 from onebend.learning.frequencies import ComparedFrequency, Posture
 from onebend.learning.outcome import Comparison, Notice, another_beam, poor_fit
 from onebend.learning.run import Run
-from onebend.records import Array, Observations, Remark, StatedSection
-from onebend.report.wording import direction_words, name_of, width_words
+from onebend.records import Array, CleanForce, ClockOffset, Observations, Remark, StatedSection, marker_words
+
+
+def name_of(findings: Run) -> str:
+    """Names of the learned recordings."""
+    return " + ".join(recording.source.name for recording in findings.recordings)
+
+
+Kind = Literal["film", "tracks", "photos", "poses", "frequencies"]
+
+
+@dataclass(frozen=True)
+class KindWords:
+    """Words for one kind of recording."""
+
+    kind: Kind
+    frames: str  # several of its instants
+    under: str  # loads of the uncorrected simulation
+    inputs: str  # heading of the inputs
+    gone_by: str  # duration to compare work with; may be empty
+
+
+WORDS: dict[Kind, KindWords] = {
+    "film": KindWords("film", "frames", "under the force as logged", "Force and clock", "video"),
+    "tracks": KindWords("tracks", "frames", "under the force as logged", "Force and clock", "recording"),
+    "photos": KindWords("photos", "photos", "under the loads as written", "Loads and photos", ""),
+    "poses": KindWords("poses", "poses", "under the loads as written", "Loads and points", ""),
+    "frequencies": KindWords("frequencies", "frequencies", "as it swings", "Frequencies", ""),
+}
+
+
+def kind_of(observations: Observations) -> Kind:
+    if observations.frequencies and observations.static and not np.any(observations.marker_s):
+        return "frequencies"
+    if observations.static:
+        return "poses" if observations.source.view is None else "photos"
+    return "tracks" if observations.source.view is None else "film"
+
+
+def words_of(observations: Observations) -> KindWords:
+    return WORDS[kind_of(observations)]
+
+
+def is_forced(observations: Observations) -> bool:
+    """Whether a known force bends it, not its weight alone."""
+    if not observations.static:
+        return observations.source.clean_force is not None
+    return observations.known_loads is not None or bool(np.any(observations.force != 0.0))
+
+
+def only_static(recordings: Sequence[Observations]) -> bool:
+    return all(one.static for one in recordings)
+
+
+def learned_from(observations: Observations) -> str:
+    """ "440 loaded frames of a film (600 in all)", "6 poses under known loads"."""
+    swings = f"{len(observations.frequencies)} natural frequencies"
+    if kind_of(observations) == "frequencies":
+        return swings
+    return _shown(observations) + (f", and {swings}" if observations.frequencies else "")
+
+
+def only_frequencies(recordings: Sequence[Observations]) -> bool:
+    return all(kind_of(one) == "frequencies" for one in recordings)
+
+
+def _shown(observations: Observations) -> str:
+    count, used, kind = len(observations.time), int(observations.loaded.sum()), kind_of(observations)
+    if observations.static:
+        of = "photos of the beam" if kind == "photos" else "static poses"
+        return f"{count} {of} under {'known loads' if is_forced(observations) else 'its own weight'}"
+    of = "a film" if kind == "film" else "marker tracks"
+    if not is_forced(observations):
+        return f"{count} frames of {of}, under its own weight"
+    return f"{used} loaded frames of {of} ({count} in all)"
+
+
+UNKNOWN = "–"
+NOT_WORTH_A_ROW = 0.005  # s
+SMALL = 9.5e-5  # m: shown with two digits
+
+FILES = {
+    "model.json": "the learned beam; load_model reads it",
+    "stiffness.csv": "k(s) at 201 places, with its 95 % band",
+    "nuisances.csv": "what else was fitted, before and after the data",
+    "selection.csv": "the paper's regression: every n (curvature modes) and m (stiffness functions)",
+    "markers.csv": "measured and simulated markers, every frame and recording",
+    "validation.csv": "RMS per tag of the recordings validated on, as the paper's Tables IV to VI",
+    "observations.parquet": "what the recording said, so that its files are not needed again",
+    "summary.json": "the figures of this page for scripts, in SI",
+    "report.html": "this page",
+    "figures/": "every figure as a PNG",
+}
+_LINEAR = 1.0  # change of log k up to which first order holds
+ANOTHER = "another"
+
+
+def significant(value: float, digits: int = 3) -> str:
+    """`value` with that many digits, without an exponent if possible; a dash if unknown."""
+    if not np.isfinite(value):
+        return UNKNOWN
+    if value == 0.0 or not 1e-4 <= abs(value) < 1e6:
+        return f"{float(value):.{digits}g}"
+    value = float(f"{value:.{digits - 1}e}")  # rounded first: 18728 has no more digits than 0.0187
+    decimals = digits - 1 - math.floor(math.log10(abs(value)))
+    return f"{float(value):.{max(decimals, 0)}f}"
+
+
+def span(low: float, high: float, between: str = " to ") -> str:
+    """Two values, or one if equal."""
+    first, last = significant(low), significant(high)
+    return first if first == last else f"{first}{between}{last}"
+
+
+def millimetres(metres: float) -> str:
+    """mm with two decimals, or two digits if small; a dash if unknown."""
+    if np.isfinite(metres) and 0.0 < abs(metres) < SMALL:
+        return significant(1000.0 * float(metres), 2)
+    return f"{1000.0 * float(metres):.2f}" if np.isfinite(metres) else UNKNOWN
+
+
+def length_words(metres: float, digits: int = 2) -> str:
+    """mm; "less than 0.001 mm" rather than 0."""
+    return "less than 0.001 mm" if metres < 1e-6 else f"{significant(1e3 * metres, digits)} mm"
+
+
+def bic_words(bic: float) -> str:
+    """One decimal; a dash for an excluded pair (n, m)."""
+    return f"{bic:.1f}" if np.isfinite(bic) else UNKNOWN
+
+
+def percent(part: float, whole: float) -> str:
+    """A dash without a whole."""
+    return f"{100.0 * part / whole:.0f} %" if whole > 0.0 else UNKNOWN
+
+
+def counted(count: int, what: str) -> str:
+    """ "1 warning", "2 warnings"."""
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
+def stage_rows(seconds: Mapping[str, float]) -> list[tuple[str, float]]:
+    """Stages above a threshold, and the sum."""
+    rows = [(name, value) for name, value in seconds.items() if value >= NOT_WORTH_A_ROW]
+    return [*rows, ("together", sum(seconds.values()))]
+
+
+def worst_tag(comparison: Comparison) -> str:
+    """The largest RMS, with its tag."""
+    if not np.isfinite(comparison.rms).any():
+        return UNKNOWN
+    i = int(np.nanargmax(comparison.rms))
+    whole = f"{millimetres(comparison.rms[i])} mm ({tag_words(comparison, i)})"
+    return whole.replace("tag ", "tag\N{NO-BREAK SPACE}").replace(" mm", "\N{NO-BREAK SPACE}mm")
+
+
+def tag_words(comparison: Comparison, index: int) -> str:
+    """As `marker_words`."""
+    return marker_words(int(comparison.tag_id[index]), float(comparison.marker_s[index]))
+
+
+def clock_words(clock: ClockOffset) -> str:
+    """The offset with its sd, against the stated one."""
+    if clock.sd == 0.0:
+        return f"{clock.offset:.3f} s as written in recording.toml, which calls it exact"
+    if not clock.found:
+        return f"{clock.offset:.3f} s as written in recording.toml; the data could not settle it"
+    away = 1000.0 * (clock.offset - clock.stated)
+    said = f", {away:+.0f} ms from the written {clock.stated:.3f} s" if np.isfinite(clock.stated) else ""
+    return (
+        f"{clock.offset:.3f} s ± {1000.0 * clock.sd:.1f} ms (sd){said}; a constant lag of the force sensor is part of "
+        "it"
+    )
+
+
+def inputs(observations: Observations) -> list[tuple[str, str]]:
+    """Processing of the force log and the clocks, row by row."""
+    rows = [] if observations.source.clean_force is None else _force_rows(observations.source.clean_force)
+    if observations.static:
+        rows += _load_rows(observations)
+    if observations.source.clock is not None:
+        rows.append(("log time less video time", clock_words(observations.source.clock)))
+    if observations.source.view is not None:
+        how = (
+            "calibrated"
+            if observations.source.view.calibrated
+            else "not calibrated: lens and focal length inferred from the tags"
+        )
+        rows.append(("camera", f"{how}; corners to {observations.source.view.corner_sd:.2f} px (sd)"))
+    if kind_of(observations) == "frequencies":
+        return [*rows, ("natural frequencies", str(len(observations.frequencies)))]
+    found = 100.0 * np.isfinite(observations.xy[..., 0]).mean(axis=0)
+    tags = ", ".join(f"tag {tag} {found[i]:.1f} %" for i, tag in enumerate(observations.tag_id))
+    words = words_of(observations)
+    return [*rows, (f"{words.frames} in which a tag was found", tags)]
+
+
+def _force_rows(clean: CleanForce) -> list[tuple[str, str]]:
+    known = bool(np.isfinite(clean.drift).any())
+    drift = _pair(1000.0 * clean.drift, "mN/s") if known else "unknown (only one rest was seen)"
+    filtered = f"zero-phase, {significant(clean.cutoff)} Hz" if np.isfinite(clean.cutoff) else "none"
+    return [
+        ("tare taken off (x, y)", _pair(clean.tare, "N")),
+        ("drift between the rests (x, y)", drift),
+        ("low-pass filter", filtered),
+        ("noise left in the force (x, y), sd", _pair(1000.0 * clean.noise_sd, "mN")),
+        ("outliers replaced", f"{clean.outliers} of {len(clean.time)} rows"),
+    ]
+
+
+def _load_rows(observations: Observations) -> list[tuple[str, str]]:
+    if not is_forced(observations):
+        return []
+    size, sd = np.linalg.norm(observations.force, axis=1), 1e3 * float(np.max(observations.force_sd))
+    known = f"each to {significant(sd, 2)} mN (sd)" if sd > 0.0 else "taken as exact"
+    more = "; further forces or moments besides" if observations.known_loads is not None else ""
+    return [("loads", f"{significant(float(size.min()))} … {significant(float(size.max()))} N, {known}{more}")]
+
+
+def _pair(values: Iterable[float], unit: str) -> str:
+    return ", ".join(significant(value) for value in values) + f" {unit}"
+
+
+def assumptions(findings: Run) -> list[str]:
+    """Assumptions behind the result."""
+    recording = findings.recordings[0]
+    rest = "straight when nothing pushes it" if recording.stated.rest == "straight" else "of unknown shape at rest"
+    weight = "its weight acts in the plane of bending and is simulated" if np.any(recording.gravity != 0.0) else (
+        "gravity acts across the plane of bending, so its weight does not bend it"
+    )  # fmt: skip
+    if only_frequencies(findings.recordings):
+        weight = "its weight stiffens, softens and bends it as each posture says"
+        return [f"The beam is planar, is clamped at s = 0, and is {rest}; {weight}.", *_loading(recording)]
+    sd = millimetres(recording.stated.placement_sd)
+    return [
+        f"The beam is planar, is clamped at s = 0, and is {rest}; {weight}.",
+        _allowed(findings),
+        *_loading(recording),
+        f"Each tag sits at its written s to {sd} mm (sd).",
+    ]
+
+
+def _loading(recording: Observations) -> list[str]:
+    if kind_of(recording) == "frequencies":
+        return ["It swings freely about rest, and so little that its frequencies do not depend on how far."]
+    if recording.static:
+        loads = "The loads act where they are written, and nothing else touches the beam."
+        return [
+            f"The beam stood still in every one of the {words_of(recording).frames}.",
+            loads if is_forced(recording) else "Nothing but its weight bends it.",
+        ]
+    if not is_forced(recording):
+        return ["Every frame is in equilibrium: the beam is turned slowly.", "Nothing but its weight bends it."]
+    return [
+        "Every frame is in equilibrium: the push is slow against the beam's own vibrations.",
+        "The logged force acts at one point of the beam, and nothing else touches it.",
+        "The force sensor's reading at rest is subtracted. Its scale error shows only under load; it is not seen, and "
+        "goes into k.",
+    ]
+
+
+def _allowed(findings: Run) -> str:
+    none = "It neither stretches nor shears, and the material does not relax."
+    if findings.posterior is None:
+        return none
+    inside = {one.name for recording in findings.posterior.recordings for one in recording.allowances}
+    names = [name for name, blocks in GROUPS.items() if inside & set(blocks)]
+    return f"The fit also allows for {', '.join(names)}." if names else none
+
+
+def files_described(findings: Run) -> list[tuple[str, str]]:
+    """Files of a results folder."""
+    absent = {
+        "validation.csv": not findings.validations,
+        "nuisances.csv": findings.posterior is None,
+        "selection.csv": findings.learned is None,
+    }
+    return [(name, what) for name, what in FILES.items() if not absent.get(name, False)]
+
+
+def change_words(shift: float) -> str:
+    """Change of k(s) in percent, or "another" beyond first order."""
+    return f"{100.0 * np.expm1(shift):.2g} %" if shift < _LINEAR else ANOTHER
+
+
+LEVELS = ((0.95, 0.14), (0.80, 0.20), (0.50, 0.32))  # and opacity
+_S = np.linspace(0.0, 1.0, 401)
+
+
+def highest_shown(uncertain: UncertainStiffness) -> float:
+    """N m, top of an axis of k(s): set by the identified part, plus up to 30 % for the rest."""
+    band = uncertain.band(_S)
+    known = float(np.max(band.high[uncertain.best_known(_S)]))
+    return max(known, min(float(np.max(band.k)), 1.3 * known))
+
+
+def direction_words(direction: float) -> str:
+    """Direction [rad] in the beam's frame: up is to its left, out towards its tip."""
+    degrees = float(np.rad2deg(np.angle(np.exp(1j * direction))))
+    side, off = ("up", 90.0 - degrees) if degrees >= 0.0 else ("down", 90.0 + degrees)
+    return side if abs(off) < 0.5 else f"{side} and {abs(off):.0f} deg {'out' if off > 0.0 else 'back'}"
+
+
+def width_words(width: float) -> str:
+    return half_width_words(0.5 * width)
 
 
 @dataclass(frozen=True)

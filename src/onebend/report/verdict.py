@@ -18,8 +18,18 @@ from onebend.learning.run import Run
 from onebend.learning.verdict import cause, fitted_rms, possible
 from onebend.records import Array, Observations, Remark
 from onebend.report import confidence
-from onebend.report.sentences import SENTENCES, all_remarks, remedy, say
-from onebend.report.wording import is_forced, millimetres, only_frequencies, significant, span, tag_words
+from onebend.report.sentences import (
+    SENTENCES,
+    all_remarks,
+    is_forced,
+    millimetres,
+    only_frequencies,
+    remedy,
+    say,
+    significant,
+    span,
+    tag_words,
+)
 
 AS_GOOD = 1.5  # times the force noise: a better beam would not show
 _MOST_NAMED = 4  # allowances, tests

@@ -15,8 +15,7 @@ from onebend.learning.instruments import instruments_if_pushed, setup_of
 from onebend.learning.outcome import Comparison, Learned, stated_section
 from onebend.learning.posterior import Posterior, tradeoffs, with_level
 from onebend.learning.run import Run
-from onebend.learning.swing import SwingFit
-from onebend.learning.swing_frequencies import FoundFrequencies
+from onebend.learning.swing import FoundFrequencies, SwingFit
 from onebend.learning.verdict import fitted_rms, possible
 from onebend.records import Observations
 from onebend.report.confidence import identified_ranges

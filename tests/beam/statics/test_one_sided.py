@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from onebend.beam.branches import stable_equilibria
-from onebend.beam.continuation import ContinuationSettings, at_once, equilibrium, follow, on_one_side
+from onebend.beam.continuation import ContinuationSettings, at_once, equilibrium, follow, on_one_side, stable_equilibria
 from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, make_problem

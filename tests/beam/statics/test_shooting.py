@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from onebend.beam.branches import stable_equilibria
-from onebend.beam.continuation import follow
+from onebend.beam.continuation import follow, stable_equilibria
 from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Problem, Resolution, make_problem

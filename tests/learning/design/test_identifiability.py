@@ -13,7 +13,7 @@ from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, make_problem
 from onebend.beam.stiffness import LogSpline, Powers, Uniform
 from onebend.errors import LearningError, MechanicsError
-from onebend.learning.design import STEPS, force_covariance, information, information_along, with_better_sensor
+from onebend.learning.design import STEPS, force_covariance, information, with_better_sensor
 from onebend.learning.instruments import ForceDoubt, Instruments, PlannedPush
 from onebend.learning.parameters import Spline
 from onebend.records import Array
@@ -198,13 +198,6 @@ def test_scatter_of_repeated_fits_is_what_information_says() -> None:
     assert np.mean(values) == pytest.approx(1.0, abs=0.1)
     assert np.min(values) > 0.7
     assert np.max(values) < 1.45
-
-
-def test_a_push_tells_nothing_of_what_lies_beyond_it() -> None:
-    s, told = information_along(beam(), bench(), PlannedPush(0.6, 1.6, 0.5))
-    assert np.all(told >= 0.0)
-    assert np.max(told[s > 0.6]) < 1e-20 * np.max(told)
-    assert np.min(told[s < 0.5]) > 1e-4 * np.max(told)
 
 
 def test_a_straight_beam_has_two_equal_sides() -> None:

@@ -17,8 +17,7 @@ from onebend.learning.instruments import Instruments, PlannedPush, instruments_o
 from onebend.learning.linear import log_k_map
 from onebend.learning.posterior import Posterior, fit
 from onebend.records import Array, Observations
-from onebend.report.sentences import words
-from onebend.report.wording import direction_words
+from onebend.report.sentences import direction_words, words
 from onebend.results.learned_files import plan_summary
 from tests.learning.bench import IDEAL, SOFT, observed
 from tests.made_up import with_source

@@ -15,8 +15,7 @@ from onebend.beam.stiffness import Scaled, UncertainStiffness, Uniform
 from onebend.errors import LearningError, ResultsError
 from onebend.export.export import export
 from onebend.export.sample import rod_sample
-from onebend.learning.swing import Damping, DampingSettings, SwingFit, find_swing, learn_damping
-from onebend.learning.swing_frequencies import FilmPart
+from onebend.learning.swing import Damping, DampingSettings, FilmPart, SwingFit, find_swing, learn_damping
 from onebend.records import Observations
 from onebend.report.sentences import worded
 from onebend.results.model import StoredModel, model_text, read_model
@@ -138,9 +137,9 @@ def test_the_command_writes_what_export_takes(
     found: SwingFit, film: Observations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recording = type("Read", (), {"folder": tmp_path, "beam": film})()
-    monkeypatch.setattr("onebend.cli.motion.read_recording", lambda _: recording)
-    monkeypatch.setattr("onebend.cli.motion.observe", lambda *_, **__: film)
-    monkeypatch.setattr("onebend.cli.motion.learn_damping", lambda *_, **__: found)
+    monkeypatch.setattr("onebend.cli.learning.read_recording", lambda _: recording)
+    monkeypatch.setattr("onebend.cli.learning.observe", lambda *_, **__: film)
+    monkeypatch.setattr("onebend.cli.learning.learn_damping", lambda *_, **__: found)
     first, second = tmp_path / "model.json", tmp_path / "with.json"
     first.write_text(model_text(StoredModel(HEAVY, None), written_by="a test"), encoding="utf-8")
     said = run("damp", first, "REC", "-o", second, "-q")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from onebend.errors import LearningError
-from onebend.learning.swing_frequencies import FilmPart, frequencies_of, swing_frequencies
+from onebend.learning.swing import FilmPart, frequencies_of, swing_frequencies
 from onebend.records import Array
 from onebend.report.sentences import worded
 
@@ -89,7 +89,7 @@ def test_in_a_long_record_noise_is_no_mode() -> None:
 
 
 def test_of_a_record_too_long_the_first_part_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("onebend.learning.swing_frequencies._MOST", 600)
+    monkeypatch.setattr("onebend.learning.swing._MOST", 600)
     found = frequencies_of(TIME, swing(0, 0.02))
     assert found.samples == 200
     assert found.end < 4.0

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from backports import zstd
 
-from onebend.recording import bag_files
-from onebend.recording.bag_files import BrokenOffError, Channel, Unpacker, message_type, scan, topics_by_index
+from onebend.recording import bags
+from onebend.recording.bags import BrokenOffError, Channel, Unpacker, message_type, scan, topics_by_index
 from tests.recording import bagged
 
 ROOT = Path(__file__).parents[3]
@@ -56,8 +56,8 @@ def test_the_limit_is_of_one_file(unpacker: Unpacker, monkeypatch: pytest.Monkey
     bag = bagged.write_mcap(tmp_path / "run.mcap", LOG)
     everything = list(scan(bag))
     assert everything == list(scan(bag))  # a second reading begins with the whole limit
-    monkeypatch.setattr(bag_files, "MOST_READ", 0)
-    monkeypatch.setattr(bag_files, "MOST_GAIN", 0)
+    monkeypatch.setattr(bags, "MOST_READ", 0)
+    monkeypatch.setattr(bags, "MOST_GAIN", 0)
     with pytest.raises(BrokenOffError, match="far more than a film"):
         list(scan(bag))
 

@@ -17,7 +17,6 @@ from onebend.cli import app
 from onebend.errors import RecordingError
 from onebend.recording.bag_topics import INFO
 from onebend.recording.calibration import find_boards
-from onebend.recording.camera import distort, equidistant, nearest_lens, rational
 from onebend.recording.entries import CameraEntry
 from onebend.recording.folder import read_recording
 from tests.recording import bagged
@@ -136,40 +135,6 @@ def test_rectified_pictures_have_the_matrix_p_and_no_lens(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("model", "lens"),
-    [
-        ("rational_polynomial", [0.3, 0.05, 2e-4, -1e-4, 0.01, 0.38, 0.06, 0.01]),
-        ("equidistant", [0.02, -0.01, 0.003, 0.0]),
-    ],
-)
-def test_a_lens_of_another_model_is_taken_where_ours_meets_it(tmp_path: Path, model: str, lens: list[float]) -> None:
-    camera = camera_of(tmp_path, [info(distortion_model=model, d=lens)])
-    there = rational(np.array(lens)) if model.startswith("rational") else equidistant(np.array(lens))
-    ray = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 11), np.linspace(-0.27, 0.27, 7)), axis=-1)
-    away = 600.0 * (distort(ray, np.array(camera.dist)) - there(ray))
-    assert np.abs(away).max() < 0.1
-    assert np.abs(600.0 * (ray - there(ray))).max() > 5.0
-
-
-def test_rational_and_fisheye_lenses_are_those_of_opencv() -> None:
-    cv2 = pytest.importorskip("cv2")
-    rng = np.random.default_rng(1)
-    rays = rng.uniform(-0.8, 0.8, (50, 2))
-    points, still = np.concatenate([rays, np.ones((50, 1))], axis=1)[:, None], np.zeros(3)
-    many, four = rng.uniform(-0.1, 0.1, 8), rng.uniform(-0.05, 0.05, 4)
-    theirs = cv2.projectPoints(points, still, still, np.eye(3), many)[0][:, 0]
-    assert rational(many)(rays) == pytest.approx(theirs, abs=1e-12)
-    theirs = cv2.fisheye.projectPoints(points, still, still, np.eye(3), four)[0][:, 0]
-    assert equidistant(four)(rays) == pytest.approx(theirs, abs=1e-12)
-
-
-def test_our_own_lens_is_met_exactly() -> None:
-    found, worst = nearest_lens(lambda ray: distort(ray, np.array(LENS)), np.array(K).reshape(3, 3), (WIDTH, HEIGHT))
-    assert found == pytest.approx(LENS, abs=1e-9)
-    assert worst < 1e-5
-
-
-@pytest.mark.parametrize(
     ("said", "message"),
     [
         ([info(k=[0.0] * 9)], r"camera_info of .* is not calibrated.*onebend calibrate"),
@@ -177,8 +142,7 @@ def test_our_own_lens_is_met_exactly() -> None:
         ([info(k=[600.0, 3.0, *K[2:]])], "oblique axes"),
         ([info(distortion_model="scheimpflug")], "'scheimpflug' is not known; plumb_bob, rational_polynomial"),
         ([info(d=[0.1, 0.2])], "D has 2 numbers; plumb_bob has 4 or 5"),
-        ([info(distortion_model="equidistant", d=[0.0] * 4, k=[420.0, *K[1:4], 420.0, *K[5:]])], "miss it by up to"),
-        ([info(distortion_model="equidistant", d=[-0.9, 0.0, 0.0, 0.0])], "cannot follow it to the picture's edges"),
+        ([info(distortion_model="rational_polynomial", d=[0.3, 0.05, 0.0, 0.0, 0.01, 0.38, 0.06, 0.01])], "k4 to k6"),
         ([info(width=2 * WIDTH, height=2 * HEIGHT)], "of pictures of 1280 x 720, /image of .* has 640 x 360"),
         ([info(), info(), info(k=[610.0, *K[1:]])], "changes at message 2"),
     ],

@@ -17,7 +17,7 @@ from onebend.recording.folder import read_recording
 from onebend.recording.stated import stated_in
 from onebend.records import CURVATURE_SD, PointMass
 from onebend.report.overview import overview
-from onebend.report.wording import clock_words
+from onebend.report.sentences import clock_words
 from tests.recording.pushed import Pushed
 from tests.recording.test_observe import observed, recording
 from tests.recording.toml.test_folder_entries import FULL, folder_with, line_of, refusal

@@ -14,11 +14,10 @@ from onebend.beam.loads import push, weight
 from onebend.beam.problem import make_problem
 from onebend.errors import OnebendError
 from onebend.learning.posterior import fit
-from onebend.recording.curves import points_on
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe
 from onebend.recording.outline import PLACES, POINTS
-from onebend.recording.tracks import track_markers
+from onebend.recording.tracks import points_on, track_markers
 from onebend.records import Array
 from onebend.report.figures import check_png
 from onebend.report.overview import overview

@@ -6,8 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow.csv
-import pyarrow.parquet
 import pytest
 from hypothesis import given, settings, strategies as st
 
@@ -105,15 +103,6 @@ def test_gaps_stay_gaps_and_are_told(tmp_path: Path) -> None:
     found = track_markers(read_recording(track_folder(tmp_path, keep=keep)))
     assert np.array_equal(np.isfinite(found.xy).all(axis=-1), keep)
     assert any("Marker 2 is missing" in remark.text for remark in found.remarks)
-
-
-def test_parquet_says_what_csv_says(tmp_path: Path) -> None:
-    folder = track_folder(tmp_path)
-    pyarrow.parquet.write_table(pyarrow.csv.read_csv(folder / "markers.csv"), folder / "markers.parquet")
-    toml = folder / "recording.toml"
-    csv = track_markers(read_recording(folder))
-    toml.write_text(toml.read_text().replace("markers.csv", "markers.parquet"))
-    np.testing.assert_array_equal(track_markers(read_recording(folder)).xy, csv.xy)
 
 
 def observed(folder: Path) -> Observations:

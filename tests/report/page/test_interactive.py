@@ -18,7 +18,7 @@ from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers, Uniform
 from onebend.records import PointMass
 from onebend.report.page import COMMON, PLACES, SCRIPTS, page, page_file, script_data
-from onebend.report.wording import highest_shown
+from onebend.report.sentences import highest_shown
 from tests import made_up
 from tests.report.page.browser import after_script, node_output, title_of
 

@@ -17,14 +17,16 @@ from onebend.records import ClockOffset, Remark
 from onebend.report.confidence import alarm_words, allowance_rows, stiffness_range, tradeoff_words, unidentified_words
 from onebend.report.figures import draw_all, fit
 from onebend.report.page import cards, code_in, page
-from onebend.report.sentences import all_remarks, pair_remarks, worded
-from onebend.report.wording import (
+from onebend.report.sentences import (
+    all_remarks,
     assumptions,
     clock_words,
     inputs,
     millimetres,
+    pair_remarks,
     percent,
     significant,
+    worded,
     worst_tag,
 )
 from tests import made_up

@@ -13,11 +13,10 @@ from onebend.beam.model import Beam
 from onebend.beam.setup import SetUp
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
-from onebend.learning.endings import Edge, bending, ended
 from onebend.learning.force_error import force_error
 from onebend.learning.outcome import Notice
 from onebend.learning.sensing import model
-from onebend.learning.sensing.contacts import edges_of, frames_at_edges, runs_of, within
+from onebend.learning.sensing.contacts import Edge, bending, edges_of, ended, frames_at_edges, runs_of, within
 from onebend.learning.sensing.forces import (
     TOUCH,
     Estimates,

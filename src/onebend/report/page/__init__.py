@@ -25,11 +25,10 @@ from onebend.learning.posterior import Posterior
 from onebend.learning.run import Run
 from onebend.learning.verdict import fitted_rms, possible, unseen_place
 from onebend.records import Array, Observations
-from onebend.report import confidence, wording
+from onebend.report import confidence, sentences
 from onebend.report.pictures import FilmStrip
-from onebend.report.sentences import all_remarks, posture_words, words
+from onebend.report.sentences import all_remarks, millimetres, posture_words, significant, words
 from onebend.report.verdict import Verdict, verdict_of
-from onebend.report.wording import millimetres, significant
 from onebend.text_files import one_line, to_json
 
 COMMON = "onebend.report.page"
@@ -90,7 +89,7 @@ def cards(findings: Run) -> list[dict[str, str]]:
         others = len(seen)
         which = f"worst of {others} other recordings ({worst.name})" if others > 1 else f"on {worst.name}"
         note = f"RMS, {which}{_noise_of(worst)}"
-        rows.append({"what": "validation, worst tag", "value": wording.worst_tag(worst), "note": note})
+        rows.append({"what": "validation, worst tag", "value": sentences.worst_tag(worst), "note": note})
     if recording.source.clean_force is not None:
         size = np.linalg.norm(recording.force[recording.loaded], axis=1)
         noise = 1000.0 * float(np.max(recording.source.clean_force.noise_sd))
@@ -109,7 +108,7 @@ def verdict_card(verdict: Verdict) -> dict[str, str]:
 
 
 def _training_card(findings: Run) -> dict[str, str]:
-    if findings.posterior is not None and wording.only_frequencies(findings.recordings):
+    if findings.posterior is not None and sentences.only_frequencies(findings.recordings):
         swings = findings.posterior.frequencies
         note = f"of {len(compared_frequencies(swings))} measured, from those of the fit"
         return {"what": "worst frequency", "value": f"{significant(worst_off(swings), 2)} sd", "note": note}
@@ -118,8 +117,8 @@ def _training_card(findings: Run) -> dict[str, str]:
     which = int(np.argmax([float(np.max(np.nan_to_num(values))) for values in rms]))
     logged = findings.trainings[which]
     of = "RMS under the force as logged" if findings.posterior is None else "RMS of the fit"
-    note = f"{of}, over {len(logged.frame)} {wording.words_of(findings.recordings[which]).frames}"
-    return {"what": what, "value": wording.worst_tag(replace(logged, rms=rms[which])), "note": note}
+    note = f"{of}, over {len(logged.frame)} {sentences.words_of(findings.recordings[which]).frames}"
+    return {"what": what, "value": sentences.worst_tag(replace(logged, rms=rms[which])), "note": note}
 
 
 def _stiffness_card(findings: Run) -> dict[str, str]:
@@ -127,8 +126,8 @@ def _stiffness_card(findings: Run) -> dict[str, str]:
     area = 1e6 * findings.beam.length
     return {
         "what": "bending stiffness k(s)",
-        "value": f"{wording.span(low, high, ' … ')}\u00a0N\u00a0m",
-        "note": f"EI {wording.span(area * low, area * high, ' … ')} N mm²",
+        "value": f"{sentences.span(low, high, ' … ')}\u00a0N\u00a0m",
+        "note": f"EI {sentences.span(area * low, area * high, ' … ')} N mm²",
     }
 
 
@@ -188,7 +187,7 @@ def _curve(findings: Run) -> dict[str, Any]:
     if posterior is None:
         return found
     uncertain = posterior.stiffness
-    found |= {"known": uncertain.band(s).identified.tolist(), "top_N_m": wording.highest_shown(uncertain)}
+    found |= {"known": uncertain.band(s).identified.tolist(), "top_N_m": sentences.highest_shown(uncertain)}
     found |= {"bands": _bands(uncertain, s), "unknown": "not to be trusted" if uncertain.doubts else "not identified"}
     if learned is not None:
         found["regression_N_m"] = _short(np.asarray(learned.beam.stiffness(s)))
@@ -196,7 +195,7 @@ def _curve(findings: Run) -> dict[str, Any]:
 
 
 def _bands(uncertain: UncertainStiffness, s: Array) -> list[dict[str, Any]]:
-    bands = [(level, strength, uncertain.band(s, level)) for level, strength in wording.LEVELS]
+    bands = [(level, strength, uncertain.band(s, level)) for level, strength in sentences.LEVELS]
     return [
         {"level": level, "strength": strength, "low_N_m": _short(band.low), "high_N_m": _short(band.high)}
         for level, strength, band in bands
@@ -305,7 +304,7 @@ def shown_made_from(provenance: Mapping[str, Any]) -> MadeFrom | None:
 
 def _file(one: Mapping[str, Any]) -> ReadFile:
     path = one_line(one["file"])
-    return ReadFile(path, PurePath(path).name, size_words(one["bytes"]), one["sha256"] or wording.UNKNOWN)
+    return ReadFile(path, PurePath(path).name, size_words(one["bytes"]), one["sha256"] or sentences.UNKNOWN)
 
 
 def size_words(count: int) -> str:
@@ -347,13 +346,13 @@ def _content(findings: Run) -> dict[str, Any]:
     learned, first = findings.learned, findings.recordings[0]
     remarks = [{"recording": whose, **remark.as_dict(), "docs": remark.docs} for whose, remark in all_remarks(findings)]
     return {
-        "name": wording.name_of(findings),
+        "name": sentences.name_of(findings),
         "several": len(findings.recordings) > 1,
         "length": f"{1000 * first.length:.4g} mm",
-        "frames": " and ".join(wording.learned_from(recording) for recording in findings.recordings),
-        "words": wording.words_of(first),
+        "frames": " and ".join(sentences.learned_from(recording) for recording in findings.recordings),
+        "words": sentences.words_of(first),
         "heavy": bool(np.any(first.gravity)),
-        "static": findings.posterior is not None and wording.only_static(findings.recordings),
+        "static": findings.posterior is not None and sentences.only_static(findings.recordings),
         "method": "" if learned is None else METHODS.get(learned.method, learned.method),
         "family": "" if learned is None else FAMILIES.get(learned.family, learned.family),
         "chosen": None if learned is None else learned.trials[learned.chosen],
@@ -368,15 +367,15 @@ def _content(findings: Run) -> dict[str, Any]:
         "one_modulus": bool(confidence.one_modulus_words(confidence.measured_beam(findings))),
         "tags": [f"tag {tag}" for tag in first.tag_id],
         "swings": _frequency_rows(findings.posterior),
-        "only_swings": wording.only_frequencies(findings.recordings),
+        "only_swings": sentences.only_frequencies(findings.recordings),
         "trainings": [_comparison_row(comparison) for comparison in findings.trainings],
         "learned_figures": _learned_captions(findings),
         "trials": [] if learned is None else _trials(learned),
         "validations": [_comparison_row(comparison) for comparison in findings.validations],
         "validation_figures": _validation_captions(findings.validations),
-        "inputs": [(recording.source.name, wording.inputs(recording)) for recording in findings.recordings],
-        "assumptions": wording.assumptions(findings),
-        "files": wording.files_described(findings),
+        "inputs": [(recording.source.name, sentences.inputs(recording)) for recording in findings.recordings],
+        "assumptions": sentences.assumptions(findings),
+        "files": sentences.files_described(findings),
         "stages": _stage_rows(findings),
         "video": f"{significant(findings.video_seconds)} s" if findings.video_seconds > 0.0 else "",
     }
@@ -456,7 +455,7 @@ def _trials(learned: Learned) -> list[dict[str, Any]]:
             "n": trial.n,
             "m": trial.m,
             "rms": [millimetres(value) for value in trial.rms],
-            "bic": wording.bic_words(trial.bic),
+            "bic": sentences.bic_words(trial.bic),
             "lowest": significant(trial.lowest_k),
             "condition": significant(trial.condition, 2),
             "why_out": trial.why_out,
@@ -484,7 +483,7 @@ def _validation_captions(comparisons: Sequence[Comparison]) -> list[tuple[str, s
 def _learned_captions(findings: Run) -> list[tuple[str, str]]:
     captions = []
     for i, comparison in enumerate(findings.trainings[1:], start=2):
-        words = wording.words_of(findings.recordings[i - 1])
+        words = sentences.words_of(findings.recordings[i - 1])
         captions.append((f"learned-{i}-shapes", f"{comparison.name}: the beam and measured tags."))
         captions.append((f"learned-{i}-fitted", f"{comparison.name}: what the fit leaves of the tags."))
         captions.append((f"learned-{i}-residuals", f"{comparison.name}: measured to simulated {words.under}."))
@@ -493,6 +492,6 @@ def _learned_captions(findings: Run) -> list[tuple[str, str]]:
 
 def _stage_rows(findings: Run) -> list[dict[str, str]]:
     return [
-        {"name": name, "seconds": f"{seconds:.2f}", "share": wording.percent(seconds, findings.video_seconds)}
-        for name, seconds in wording.stage_rows(findings.stage_seconds)
+        {"name": name, "seconds": f"{seconds:.2f}", "share": sentences.percent(seconds, findings.video_seconds)}
+        for name, seconds in sentences.stage_rows(findings.stage_seconds)
     ]
