@@ -122,7 +122,6 @@ class OutlineTrack:
     px: Array  # (T, n, 2) px; where the flanks were not seen, as the curve runs there
     ahead: Array  # (T, n, 2) px of a place a little farther along the curve
     sd: Array  # (T, n) px, one sd across the curve; NaN where the flanks were not seen
-    width: Array  # (n,) m, of the body between its flanks
     remarks: tuple[Remark, ...] = ()
 
 

@@ -8,7 +8,7 @@ pictures, so what contradicts it (a tool, a shadow, a thing of the same colour, 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,7 +32,6 @@ from onebend.recording.flanks import (
     STEP,
     WIDEST,
     OutlinedBody,
-    Planes,
     Sight,
     Stations,
     edge_place,
@@ -376,14 +375,14 @@ def outline_track(
         found, half = seek(sights(), stations, hidden, rec.name, width)
     middle = centreline(found, stations, half, MEASURED / scale)
     refuse_lost(middle, found, ~hidden, rec.name)
-    out = points_of(middle, found, stations, [Sight(_NO_PLANES, view, one) for one in shift], scale)
-    return replace(often_seen(out), remarks=lost_remarks(found))
+    out = often_seen(points_of(middle, found, stations, view, shift, scale))
+    return replace(out, remarks=lost_remarks(found))
 
 
 # Beside tags the outline is used only where it agrees with them. A tag may sit beside the middle of the body, by its
 # placement; as the body bends, it stays there.
 
-EVERY, MOST_READ = 0.1, 240  # s, pictures: so often, and in so many, is the outline read beside tags
+MOST_READ = 120  # pictures, at most, are read beside tags: its errors last for longer than what is between two of them
 BESIDE = 3e-4  # m: one sd of where a tag's middle seems to lie, besides its placement
 MOVED = 5e-3  # of the length: a line that moves more against a tag is not the body's
 TURNED = 0.03  # rad, likewise by its direction there
@@ -410,9 +409,7 @@ def with_outline(
     if rec.tags.on_beam and np.max(np.abs(markers.base_angle)) > TURNED:
         return replace(markers, remarks=(*markers.remarks, left_out("the clamp turns in the picture")))
     try:
-        each = 1
-        if rec.tags.on_beam and not apart:
-            each = max(round(EVERY / float(np.median(np.diff(detections.time)))), math.ceil(len(number) / MOST_READ), 1)
+        each = math.ceil(len(number) / MOST_READ) if rec.tags.on_beam and not apart else 1
         kept = np.arange(0, len(number), each)
         of_kept = replace(markers, xy=markers.xy[kept], angle=markers.angle[kept]) if rec.tags.on_beam else None
         outline = outline_track(
@@ -529,9 +526,6 @@ def lost_remarks(found: OutlineSearch) -> tuple[Remark, ...]:
     return (Remark("note", text),) if lost else ()
 
 
-_NO_PLANES = Planes(np.zeros((2, 2), dtype=np.uint8), np.zeros((2, 2, 2), dtype=np.uint8))
-
-
 SHARED = 2.0  # sds of what both flanks show: light, walls and blur shift both alike, which their distance hides
 
 
@@ -545,9 +539,10 @@ def lasting_sd(apart: Array) -> Array:
 
 
 def points_of(
-    middle: Middle, found: OutlineSearch, stations: Stations, sights: Sequence[Sight], scale: float
+    middle: Middle, found: OutlineSearch, stations: Stations, view: View, shift: Array, scale: float
 ) -> OutlineTrack:
-    """Points of the centreline, each the mean of the stations about it; `scale` px/m."""
+    """Points of the centreline, each the mean of the stations about it, in pictures that lie `shift` (T, 2) px off the
+    view's; `scale` px/m."""
     s = PLACES
     group = np.minimum((stations.s * POINTS).astype(int), POINTS - 1)
     means = np.eye(POINTS)[group]  # (M, n)
@@ -559,20 +554,20 @@ def points_of(
     apart = np.stack([nan_mean(middle.apart[:, group == i].T) for i in range(POINTS)], axis=1)
     sd = np.where(shown, scale * np.maximum(middle.sd / np.sqrt(np.maximum(few, 1.0)), lasting_sd(apart)), np.nan)
     px, ahead = np.empty((*away.shape, 2)), np.empty((*away.shape, 2))
-    for t, sight in enumerate(sights):
+    for t in range(len(away)):
         predicted, smooth = stations.curve(found.state[t]), stations.curve(middle.state[t])
         off = stations.across(predicted) @ (middle.state[t] - found.state[t])
         xy = predicted.xy + off[:, None] * predicted.normal
         at = [np.interp(s, stations.s, values) for values in (*xy.T, smooth.angle)]
         tangent = np.stack([np.cos(at[2]), np.sin(at[2])], axis=1)
         there = np.stack(at[:2], axis=1) + away[t][:, None] * np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
-        px[t], ahead[t] = sight.pixels(there), sight.pixels(there + 0.5 / POINTS * stations.length * tangent)
-    width = np.array([np.median(middle.width[group == i]) for i in range(POINTS)])
-    return OutlineTrack(s, px, ahead, sd, width)
+        px[t] = project(view, there) + shift[t]
+        ahead[t] = project(view, there + 0.5 / POINTS * stations.length * tangent) + shift[t]
+    return OutlineTrack(s, px, ahead, sd)
 
 
 def often_seen(outline: OutlineTrack) -> OutlineTrack:
     """Without the points that most frames do not show."""
     kept = np.isfinite(outline.sd).mean(axis=0) >= LEAST_SHARE
     px, ahead, sd = (one[:, kept] for one in (outline.px, outline.ahead, outline.sd))
-    return replace(outline, s=outline.s[kept], px=px, ahead=ahead, sd=sd, width=outline.width[kept])
+    return replace(outline, s=outline.s[kept], px=px, ahead=ahead, sd=sd)

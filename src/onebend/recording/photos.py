@@ -537,7 +537,7 @@ def track_in(found: FoundBody) -> OutlineTrack:
     search = OutlineSearch(body.state[None], away[None])
     middle = centreline(search, stations, body.half, MEASURED / scale)
     refuse_lost(middle, search, found.shown, found.name)
-    track = points_of(middle, search, stations, [sight], scale)
+    track = points_of(middle, search, stations, sight.view, sight.shift[None], scale)
     times = found.smaller
     px, ahead = ((one + 0.5) * times - 0.5 for one in (track.px, track.ahead))
     return replace(track, px=px, ahead=ahead, sd=times * track.sd)
