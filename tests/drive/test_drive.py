@@ -137,15 +137,15 @@ def test_a_drive_is_learned_from(tmp_path: Path) -> None:
 
 def test_goals_in_time_are_passed_when_their_time_is_over(tmp_path: Path) -> None:
     rec = read_recording(described(tmp_path, width=640), filmed=False)
-    forces, times = [(0.0, 0.1), (-0.01, 0.2), FORCE], [1.5, 3.0, 4.5]
+    forces, times = [(0.0, 0.1), (-0.01, 0.2), FORCE], [1.0, 2.0, 3.0]
     wanted = [(time, np.array(goal_of(force=force))) for time, force in zip(times, forces, strict=True)]
     plan = make_plan(model_of("linear"), rec, wanted, stated_placement(rec), QUICK)
     assert [one.waits for one in plan.goals] == [False, False, True]
     outcome, cell = driven(tmp_path, plan, setup_for(rec, holds=False, sees=math.radians(60.0)))
     assert outcome.good, outcome.drive.events
     first, second, last = outcome.drive.outcomes
-    assert [first.seconds, second.seconds] == pytest.approx([1.5, 1.5], abs=0.05)
-    assert last.seconds > 1.5  # it waits until it is there
+    assert [first.seconds, second.seconds] == pytest.approx([1.0, 1.0], abs=0.05)
+    assert last.seconds > 1.0  # it waits until it is there
     assert np.linalg.norm(last.seen - wanted[-1][1]) < last.said
     assert cell.largest < QUICK.limits.force
 

@@ -124,11 +124,11 @@ def test_an_outline_that_spoils_the_fit_is_left_out_of_it() -> None:
     both = beside_tags()
     assert both.traced is not None
     far = np.where(both.traced, 2e-3, 0.0) * np.random.default_rng(0).normal(size=both.angle.shape)
-    spoilt = fit([replace(both, xy=both.xy + far[..., None])])
+    spoilt = fit([replace(both, xy=both.xy + far[..., None])], settings=IDEAL)
     assert spoilt.without_outline
-    tags = fit([read_alone(both)])
+    tags = fit([read_alone(both)], settings=IDEAL)
     np.testing.assert_allclose(spoilt.stiffness.log_at(S)[0], tags.stiffness.log_at(S)[0], atol=1e-9)
-    assert not fit([both]).without_outline
+    assert not fit([both], settings=IDEAL).without_outline
 
 
 def test_recordings_of_one_beam_keep_the_points_that_all_of_them_have() -> None:

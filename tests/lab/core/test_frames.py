@@ -12,7 +12,7 @@ from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers
 from onebend.lab.bench import ForceSensor, PushProfile
 from onebend.lab.designs import force_that_bends
-from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
+from onebend.lab.virtual import VirtualBench, VirtualClock, observe_virtual, virtual_recording
 from onebend.learning.frames import learnable_frames, usable_frames, with_seen_tags
 from onebend.learning.posterior import fit
 from onebend.records import Observations
@@ -28,7 +28,8 @@ def pushed(fall: float, *, noise: float = 0.02) -> Observations:
     """Held for a while, then let go within `fall` [s]."""
     sensor = ForceSensor(white_sd=noise * PEAK, coloured_sd=noise * PEAK)
     push = PushProfile(PEAK, hold=1.5, fall=fall, after=1.5)
-    return observe_virtual(virtual_recording(VirtualBench(beam=SOFT, push=push, sensor=sensor, fps=30.0), seed=2))
+    bench = VirtualBench(beam=SOFT, push=push, sensor=sensor, fps=30.0, clock=VirtualClock(uncertainty=0.02))
+    return observe_virtual(virtual_recording(bench, seed=2))
 
 
 def test_of_a_slow_push_every_usable_frame_is_learned_from() -> None:

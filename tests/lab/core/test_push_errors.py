@@ -21,6 +21,8 @@ from onebend.report.sentences import worded
 from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
 from tests.made_up import with_stated
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 FREE = Priors(mounting=0.0, placement=0.0, clamp=0.0, origin=0.0)
 
 

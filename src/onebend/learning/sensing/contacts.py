@@ -340,7 +340,8 @@ def edges_of(
         early, late = max(middle, last - _AFTER + 1), min(after, last + _BEFORE + 1)
         back = readings.take(np.flatnonzero((frames >= min(early, last - RUN + 1)) & (frames < late))[::-1])
         end = _begin(replace(back, time=-back.time), late - 1 - last, prior_sd)
-        out.append((begin, Edge(-end.time, end.sd)))
+        # Frames in which the beam is nearly straight tell the force along it least: an end by them is a frame off.
+        out.append((begin, Edge(-end.time, float(np.hypot(end.sd, np.median(np.diff(readings.time)))))))
     return out
 
 
