@@ -78,11 +78,12 @@ def test_the_size_of_all_is_that_of_each_weighed_together(measured: tuple[float,
     """Against the sum over sizes, each with the evidence of all three measurements."""
     one = replace(block(sizes=TOLERATED), prior_sd=np.full(3, 0.3), labels=("a", "b", "c"), together=True)
     noise, first, values = 0.1, first_site(one), np.array(measured)
-    sd = 0.3 * np.array(TOLERATED)[:, None]
-    evidence = np.prod(norm.pdf(values, scale=np.hypot(sd, noise)), axis=1)
-    means = values * sd**2 / (sd**2 + noise**2)
+    sizes = 0.3 * np.array(TOLERATED)[:, None]
+    evidence = np.prod(norm.pdf(values, scale=np.hypot(sizes, noise)), axis=1)
+    means = values * sizes**2 / (sizes**2 + noise**2)
     mean = evidence @ means / np.sum(evidence)
-    found, _ = through(updated(one, first, *(v * np.ones(3) for v in through(first, values, noise))), values, noise)
+    seen, sd = through(first, values, noise)
+    found, _ = through(updated(one, first, seen, sd), values, noise)
     np.testing.assert_allclose(found, mean, atol=2e-3)
 
 
