@@ -137,6 +137,22 @@ def test_a_goal_is_met_in_the_set_up() -> None:
         reach_in_setup(BEAM, KNOWN, one, goal, settings=ReachSettings(max_force=0.1))
 
 
+def test_a_goal_within_the_error_of_the_length_takes_no_great_force() -> None:
+    sure = setup()
+    covariance = sure.covariance.copy()
+    column = sure.columns["length"].start
+    covariance[column, column] = 0.005**2  # 1 mm
+    force = np.array([[0.0, 0.1]])
+    goal = tips(sure, force)[0] + [5e-4, 0.0]
+    found = reach_in_setup(BEAM, KNOWN, replace(sure, covariance=covariance), goal)
+    assert found.predicted.holds(goal)
+    assert found.error < 6e-4
+    assert abs(found.reached[1] - goal[1]) < 3e-4  # what the beam can do, it does
+    np.testing.assert_allclose(found.force, force[0], atol=0.1)
+    with pytest.raises(ControlError):
+        reach_in_setup(BEAM, KNOWN, sure, goal)
+
+
 def test_a_push_elsewhere_is_a_new_contact_on_the_beam() -> None:
     old = setup(place=0.002, slide=0.001)
     new = old.renewed(push_s=0.8, length=BEAM.length)

@@ -9,6 +9,7 @@ from functools import cached_property, lru_cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
 
 from onebend.beam.continuation import ContinuationSettings, follow, refine
 from onebend.beam.grid import solve_each, transposed
@@ -574,6 +575,7 @@ _MET = 1e-6  # of the length
 _SHARES = np.array([0.1, 0.3, 0.5, 0.75, 1.0, 1.5, 2.5])  # of the largest force of the recording
 _AROUND = 24  # directions
 _STEP, _LONGEST, _MOST_TRIALS, _SHORTER = 1e-3, 0.3, 20, 0.3  # the first two likewise
+_NOWHERE = 1e3  # sds: where the beam does not stand
 _MOST_STARTS_IN_SETUP = 12
 _ON_THE_WAY = 20
 
@@ -642,7 +644,8 @@ def reach_in_setup(
 
     The goal is in the frame of the recording. `new`: what is another one now, its parts drawn from their priors.
     `push_s`: default as in the recording. The error is that of `draws` from the joint posterior. `uncertain` is the
-    band of `beam`. Raises `ControlError` where the goal cannot be reached, and as `reach`.
+    band of `beam`. A goal that takes no force, or one far beyond those of the recording, may still lie within the error
+    of a smaller force: then that is the answer. Raises `ControlError` where the goal cannot be reached, and as `reach`.
     """
     wanted, point = checked_goal(goal, settings), np.array([point_s])
     now = setup.renewed(new, push_s=push_s, length=beam.length)
@@ -650,41 +653,68 @@ def reach_in_setup(
     def bent(force: Array, at: tuple[Array, Array] | None = None, near: Array | None = None) -> Bent:
         return now.bent(beam, uncertain, force, at, near=near, gravity=settings.gravity)
 
-    found = _force_in_setup(bent, wanted, point, float(np.hypot(*setup.force)), _MET * beam.length)
-    if found is None:
+    def answer(force: Array, trials: int) -> ReachInSetUp:
+        path = np.linspace(0.0, 1.0, _ON_THE_WAY + 1)[:, None] * force
+        way = bent(path)
+        bend = float(np.max(np.abs(way.solved.q - way.solved.problem.q0) / way.solved.problem.length))
+        if wrong := broken_bound(float(np.hypot(*force)), bend, settings):
+            raise ControlError(f"the goal is out of bounds in this set-up: {wrong}")
+        felt = force + now.force_sd * np.random.default_rng([seed, 1]).standard_normal((draws, 2))
+        drawn = bent(felt, now.draw(uncertain, draws, seed=seed), np.repeat(way.solved.q[-1:], draws, axis=0))
+        if np.sum(drawn.stands) < max(3, draws // 2):
+            raise ControlError(_NO_BOUND.format(lost=int(np.sum(~drawn.stands)), draws=draws))
+        places, there = drawn.xy(point)[drawn.stands, 0], way.xy(point)[:, 0]
+        covariance = np.cov(places.T) + (now.discrepancy * np.linalg.norm(there[-1] - there[0])) ** 2 * np.eye(2)
+        error = PredictedError(there[-1], np.mean(places, axis=0), covariance, float(np.mean(~drawn.stands)))
+        loads = np.column_stack([path, np.zeros(len(path))])
+        return ReachInSetUp(beam, settings, now.push_s, point_s, wanted, way, loads, trials, error)
+
+    largest = float(np.hypot(*setup.force))
+    starts = _nearest_first(bent, wanted, point, largest)
+    exact = _force_in_setup(bent, wanted, point, starts, largest, _MET * beam.length)
+    if exact is None or now.beyond(exact[0]):
+        spread = answer(starts[0], 0).predicted.covariance
+        smaller = answer(*_likely_in_setup(bent, wanted, point, starts[0], largest, spread))
+        if smaller.predicted.holds(wanted):
+            return smaller
+    if exact is None:
         alone = reach(beam, wanted, push_s=now.push_s, point_s=point_s, settings=settings)
         raise ControlError("no force in this set-up puts the point on its goal" if alone.converged else alone.reason)
-    force, iterations = found
-    path = np.linspace(0.0, 1.0, _ON_THE_WAY + 1)[:, None] * force
-    way = bent(path)
-    bend = float(np.max(np.abs(way.solved.q - way.solved.problem.q0) / way.solved.problem.length))
-    if wrong := broken_bound(float(np.hypot(*force)), bend, settings):
-        raise ControlError(f"the goal is out of bounds in this set-up: {wrong}")
-    felt = force + now.force_sd * np.random.default_rng([seed, 1]).standard_normal((draws, 2))
-    drawn = bent(felt, now.draw(uncertain, draws, seed=seed), np.repeat(way.solved.q[-1:], draws, axis=0))
-    if np.sum(drawn.stands) < max(3, draws // 2):
-        raise ControlError(_NO_BOUND.format(lost=int(np.sum(~drawn.stands)), draws=draws))
-    places, there = drawn.xy(point)[drawn.stands, 0], way.xy(point)[:, 0]
-    covariance = np.cov(places.T) + (now.discrepancy * np.linalg.norm(there[-1] - there[0])) ** 2 * np.eye(2)
-    error = PredictedError(there[-1], np.mean(places, axis=0), covariance, float(np.mean(~drawn.stands)))
-    loads = np.column_stack([path, np.zeros(len(path))])
-    return ReachInSetUp(beam, settings, now.push_s, point_s, wanted, way, loads, iterations, error)
+    return answer(*exact)
 
 
-def _force_in_setup(
-    bent: Callable[[Array], Bent], goal: Array, point: Array, largest: float, met: float
-) -> tuple[Array, int] | None:
-    """(2,) N that the sensor shows where the point is within `met` [m] of the goal, and the number of trials."""
+def _nearest_first(bent: Callable[[Array], Bent], goal: Array, point: Array, largest: float) -> Array:
+    """(n, 2) N: forces under which the point comes nearest to the goal, of many sizes and directions."""
     turn = np.arange(_AROUND) * (2.0 * np.pi / _AROUND)
     around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     starts = np.concatenate([np.zeros((1, 2)), *(largest * share * around for share in _SHARES)])
     there = bent(starts)
     away = np.linalg.norm(there.xy(point)[:, 0] - goal, axis=1)
-    for start in starts[np.argsort(np.where(there.stands, away, np.inf))[:_MOST_STARTS_IN_SETUP]]:
-        found = _newton_in_setup(bent, goal, point, start, largest, met)
-        if found is not None:
-            return found
-    return None
+    return np.asarray(starts[np.argsort(np.where(there.stands, away, np.inf))[:_MOST_STARTS_IN_SETUP]])
+
+
+def _force_in_setup(
+    bent: Callable[[Array], Bent], goal: Array, point: Array, starts: Array, largest: float, met: float
+) -> tuple[Array, int] | None:
+    """(2,) N that the sensor shows where the point is within `met` [m] of the goal, and the number of trials."""
+    found = (_newton_in_setup(bent, goal, point, start, largest, met) for start in starts)
+    return next((one for one in found if one is not None), None)
+
+
+def _likely_in_setup(
+    bent: Callable[[Array], Bent], goal: Array, point: Array, start: Array, largest: float, spread: Array
+) -> tuple[Array, int]:
+    """(2,) N of the greatest probability, and the number of trials, where the point errs by `spread` (2, 2) [m^2] and
+    each axis of the force is as likely as one of the recording's: a normal density of the sd `largest`."""
+    root = np.linalg.inv(np.linalg.cholesky(spread))
+
+    def away(force: Array) -> Array:
+        there = bent(force[None])
+        off = root @ (there.xy(point)[0, 0] - goal) if there.stands[0] else np.full(2, _NOWHERE)
+        return np.append(off, force / largest)
+
+    found = least_squares(away, start, x_scale=largest, diff_step=_STEP, max_nfev=_MOST_TRIALS)
+    return found.x, int(found.nfev)
 
 
 def _newton_in_setup(

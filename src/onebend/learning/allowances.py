@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Literal
@@ -33,6 +33,9 @@ Entry = Literal["log k", "force", "place", "load", "clamp", "poses", "section", 
 ANYTHING, POSITIVE = (-np.inf, np.inf), (0.0, np.inf)
 # `Allowance.sizes` of an effect that most benches lack: each factor of two is as probable as any other.
 RARE = tuple(np.geomspace(0.005, 2.0, 17).tolist())
+# The same of an error with a stated tolerance: many benches are better than what is stated. Below a tenth of it, the
+# error changes nothing that is learned.
+TOLERATED = tuple(np.geomspace(0.1, 1.6, 5).tolist())
 
 
 def _nothing() -> Array:
@@ -53,6 +56,7 @@ class Allowance:
     sized: bool = False  # the evidence chooses one factor on all of `prior_sd`
     within: tuple[float, float] = ANYTHING  # bounds of each parameter
     sizes: tuple[float, ...] = (1.0,)  # over `prior_sd`; several, equally probable: its size is unknown, see `sites`
+    together: bool = False  # one size for all n, else each has its own
     powers: Array = field(default_factory=_nothing)  # (n,) of the displacement in its functions; empty: none
     of_force: bool = False  # `prior_sd` goes with the largest force
 
@@ -373,7 +377,8 @@ LENGTH_SD = 0.005  # of the length
 
 def length(course: PushCourse) -> Allowance:  # noqa: ARG001 - as its sisters
     """The log of the length, over what is written."""
-    return Allowance("length", "length", "1", ("log of length",), np.array([LENGTH_SD]), shared=True)
+    sd = np.array([LENGTH_SD])
+    return Allowance("length", "length", "1", ("log of length",), sd, shared=True, sizes=TOLERATED)
 
 
 # Each recording has a k(s) of its own around that of the beam, because mounting (clamp, set and temper of the material)
@@ -458,7 +463,8 @@ def heights(observations: Observations, measured: Array) -> Allowance:
     elif not tags.all():  # then all stand in the order of their places
         functions = np.stack([np.interp(o.marker_s, o.marker_s[tags], one) for one in np.eye(len(labels))], axis=1)
     basis = _lifted(o, measured, functions)
-    return Allowance("heights", "poses", "m", tuple(labels), np.full(len(labels), HEIGHT_SD), basis, shared=True)
+    free = Allowance("heights", "poses", "m", tuple(labels), np.full(len(labels), HEIGHT_SD), basis, shared=True)
+    return replace(free, sizes=TOLERATED, together=True)
 
 
 _OUTLINE_HEIGHTS = ("height of the outline at the clamp", "height of the outline at the tip")

@@ -304,7 +304,7 @@ def setup_of(posterior: Posterior) -> SetUp | None:
         block = next((at.index[key] for key in keys if key in at.index and at.index[key].start >= 0), None)
         if block is not None:
             add(name, block.where, np.eye(len(block.prior_sd)), block.prior_sd)
-    where, weights, left = _force_error_rows(posterior, number, powers(run.bend))
+    where, weights = _force_error_rows(posterior, number, powers(run.bend))
     largest = int(np.nanargmax(np.linalg.norm(data.force, axis=1)))
     size = float(np.linalg.norm(data.force[largest]))
     add("force error", where, weights, np.full(len(weights), POSTURE_SD * size))
@@ -332,7 +332,7 @@ def setup_of(posterior: Posterior) -> SetUp | None:
         slope=slope,
         covariance=0.5 * (covariance + covariance.T),
         prior_sd=np.concatenate(prior_sd),
-        force_sd=float(np.hypot(left, posterior.optimum.hyperparameters.noise[number].force)),
+        force_sd=float(np.hypot(_slow_error(posterior, number), posterior.optimum.hyperparameters.noise[number].force)),
         discrepancy=left_over[0],
         angle_discrepancy=left_over[1],
         times=tuple(TIMES.tolist()) if "relaxation" in sizes else (),
@@ -348,20 +348,25 @@ def _coefficient_rows(posterior: Posterior) -> tuple[slice, Array]:
     return slice(0, posterior.layout.shared), weights
 
 
-def _force_error_rows(posterior: Posterior, number: int, terms: Array) -> tuple[slice, Array, float]:
-    """The force that the fit adds to the log, as a polynomial in the displacement: `terms` (T, 2) of its frames.
+def _force_error_rows(posterior: Posterior, number: int, terms: Array) -> tuple[slice, Array]:
+    """The error of the force that comes again in each push, as a polynomial in the displacement: `terms` (T, 2) of the
+    frames. It is that of the posture; slow errors of the log are of its time.
 
-    Returns where the parameters stand, the polynomial's coefficients as functions of them, and what is left [N].
+    Returns where the parameters stand, and the polynomial's coefficients as functions of them.
     """
     data, at = posterior.recordings[number], posterior.layout
-    slow = -np.einsum("tk,cd->tckd", data.error.weights, np.eye(2)).reshape(len(terms), 2, -1)
-    added = {"force": slow} | {a.name: a.basis[: len(terms)] for a in data.entering("force")}
-    blocks = [block for name in added if (block := at.index[name, number]).start >= 0]
-    where = slice(min(b.where.start for b in blocks), max(b.where.stop for b in blocks))
+    again = [a for a in data.entering("force") if at.index[a.name, number].start >= 0]
+    blocks = [at.index[a.name, number] for a in again]
+    where = slice(min((b.where.start for b in blocks), default=0), max((b.where.stop for b in blocks), default=0))
     by_parameters = np.zeros((len(terms), 2, where.stop - where.start))
-    for block in blocks:
-        by_parameters[..., block.start - where.start :][..., : block.count] = added[block.name]
-    weights = np.einsum("it,tcp->icp", np.linalg.pinv(terms), by_parameters).reshape(4, -1)
-    force = by_parameters @ posterior.mean[where]
-    left = force - np.einsum("ti,ic->tc", terms, (weights @ posterior.mean[where]).reshape(2, 2))
-    return where, weights, float(np.sqrt(np.mean(left**2)))
+    for allowance, block in zip(again, blocks, strict=True):
+        by_parameters[..., block.start - where.start :][..., : block.count] = allowance.basis[: len(terms)]
+    return where, np.einsum("it,tcp->icp", np.linalg.pinv(terms), by_parameters).reshape(4, -1)
+
+
+def _slow_error(posterior: Posterior, number: int) -> float:
+    """N, sd of the slow error of the log in a push, after the sensor was zeroed at rest."""
+    own, h = posterior.recordings[number].error, posterior.optimum.hyperparameters
+    since_rest = own.weights - (np.mean(own.rest_weights, axis=0) if len(own.rest_weights) else 0.0)
+    covariance = own.covariance(h.coloured, h.memory, h.walk, h.load)
+    return float(np.sqrt(np.mean(np.sum(since_rest @ covariance * since_rest, axis=1))))

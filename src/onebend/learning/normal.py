@@ -272,7 +272,6 @@ def _inverse(covariance: Array) -> Array:
 TAU, RHO = 2.0, 0.2  # expected roughness of log k; steps and bumps of it per unit of s
 SPREAD = np.array([1.6, 2.0])  # one sd of their logs: even beams have next to no steps, pieced ones large ones
 JUMP = 1.0  # of log k: a single step or bump is hardly ever larger than two of these
-_FEW_STEPS = 0.05  # `rho` where few steps stand out
 _LEAST_INFORMATION = 1e-4  # information of a direction of log k below which the data are uninformative
 _STEP_DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])  # a step of tau, of rho, of both
 _WIDE_SHARE = 0.3  # share of wide proposals
@@ -319,12 +318,6 @@ def part_variances(spline: Spline, logs: Array, own: Array) -> tuple[Array, Arra
     capped = free / JUMP**2
     out[:, spline.count :] = free / (1.0 + capped)
     return out, capped
-
-
-def stand_at(spline: Spline, variances: Array) -> Array:
-    """(2 p + 1,) where a chain stands that begins with these variances (n,) of the parts."""
-    own = variances[spline.count :] / (_FEW_STEPS * spline.share) ** 2
-    return np.concatenate([[0.5 * np.log(variances[2]), np.log(_FEW_STEPS)], own])
 
 
 def drawn_sizes(spline: Spline, logs: Array, local: Array, rng: np.random.Generator) -> Array:

@@ -13,7 +13,7 @@ from scipy.linalg import null_space
 from onebend.beam.section import moment_errors, relative_moment
 from onebend.beam.stiffness import LogSpline, Polyline, Profile, Uniform
 from onebend.errors import LearningError
-from onebend.learning.allowances import ANYTHING, BETWEEN, EFFECTS, Allowance
+from onebend.learning.allowances import ANYTHING, BETWEEN, EFFECTS, TOLERATED, Allowance
 from onebend.learning.frames import zeroed_coordinates
 from onebend.options import NOT_NEGATIVE, option
 from onebend.recording.beam_frame import MOUNTING_SD
@@ -484,7 +484,8 @@ class StatedError:
         places = tags if self.of_tags else ("",)
         labels = tuple(label.format(tag=tag) for tag in places for label in self.labels)
         sds = np.full(len(labels), sd, dtype=float)
-        return Allowance(self.name, "bench", self.unit, labels, sds, shared=self.shared)
+        own = Allowance(self.name, "bench", self.unit, labels, sds, shared=self.shared)
+        return replace(own, sizes=TOLERATED, together=True)
 
 
 def clamp_sd(one: Observations, priors: Priors) -> float:

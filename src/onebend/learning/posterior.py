@@ -29,7 +29,6 @@ from onebend.learning.normal import JointCovariance
 from onebend.learning.parameters import KNOWN, LEARNED, Block, Layout, LearnedMass, with_shared_shape
 from onebend.learning.prediction import Prediction, predict, secant_of
 from onebend.learning.push_place import FAR, PlaceSearch, doubtful, moved_off, search_place, with_places
-from onebend.learning.sharp_steps import with_sharp_steps
 from onebend.learning.start import start_of
 from onebend.progress import Progress, Silent, one_blas_thread
 from onebend.records import Array, BoolArray, Observations, PointMass, tags_among
@@ -473,7 +472,6 @@ def _fit(
     begin = optimizer.carried_over(few, near, every, some)
     del problem, few, near
     whole, estimate = optimizer.find_on_branches(every, begin, late, progress)
-    estimate = estimate if hopeless else with_sharp_steps(whole, estimate)
     optimum = optimizer.laplace_posterior(whole, estimate, late)
     found = stiffness_of(whole, optimum, gain_sd)
     critic = criticise(whole, optimum, found)

@@ -2,7 +2,7 @@
 
 A parameter of one sd `d` may have bounds: nothing acts beyond the end of the beam, a tag does not soften it. It may be
 sparse: of an effect that many benches lack, the size is unknown. Its prior is then a mixture of normal densities of
-several `sizes`, equally probable, with mass near zero.
+several `sizes`, equally probable, with mass near zero. Parameters may have one size together.
 
 The site of a parameter is the normal prior under which the linearised model has the mean and variance that the true
 prior gives (Minka 2001; Rasmussen and Williams, Gaussian Processes for Machine Learning, 3.6).
@@ -53,6 +53,7 @@ def _matched(block: Block, size: float, mean: Array, variance: Array) -> tuple[A
     after, found, spread = moments(*block.within, middle, both)
     total = sizes**2 + variance
     logs = after - before - np.where(given, 0.5 * np.log(total) + 0.5 * mean**2 / total, 0.0)
+    logs = np.sum(logs, axis=0, keepdims=True) if block.together else logs
     weights = np.exp(logs - logsumexp(logs, axis=1, keepdims=True))
     average = np.sum(weights * found, axis=1)
     return average, np.sqrt(np.sum(weights * (spread + (found - average[:, None]) ** 2), axis=1))

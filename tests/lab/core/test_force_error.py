@@ -13,6 +13,7 @@ from onebend.beam.stiffness import Powers
 from onebend.lab.bench import ForceSensor, PushProfile
 from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_from_truth, virtual_recording
 from onebend.learning.force_error import force_error
+from onebend.learning.instruments import setup_of
 from onebend.learning.posterior import Posterior, fit
 from onebend.records import Array, Observations
 from tests.learning.bench import IDEAL
@@ -76,6 +77,16 @@ def test_the_posterior_of_the_error_holds_the_steps(found: Posterior) -> None:
         assert np.all(np.abs(error[rows] - true) < 3.0 * sd[rows])
         assert np.max(np.abs(error[rows] - true)) < 0.5 * np.linalg.norm(step)
     assert found.optimum.hyperparameters.load * found.recordings[0].error.noise.load > 0.05 * PEAK
+
+
+def test_the_set_up_carries_none_of_it_into_another_push(found: Posterior) -> None:
+    setup = setup_of(found)
+    assert setup is not None
+    force = PEAK * np.array([[0.0, 0.3], [0.0, 0.6]])
+    true = BENCH.beam.equilibrium(force).xy(np.ones(1))[:, 0]
+    bent = setup.bent(found.beam, found.stiffness, force).xy(np.ones(1))[:, 0]
+    assert np.max(np.linalg.norm(bent - true, axis=1)) < 1.5e-3  # the error bends the tip by 7 mm and more
+    assert setup.force_sd > 0.05 * PEAK
 
 
 def test_a_sensor_without_such_an_error_stays_sharp(found: Posterior) -> None:

@@ -102,7 +102,7 @@ def test_many_recordings_keep_derivatives_on_the_way_and_end_with_their_own(monk
     assert some < min(every, steps)  # fewer than it takes steps
     assert all(one.converged and one.predictions[0].nearby is None for one in found)
     first, second = (before.whiten(one.x) for one in found)
-    np.testing.assert_allclose(first, second, atol=1e-3)
+    np.testing.assert_allclose(first, second, atol=5e-3)
 
 
 def test_derivatives_are_kept_where_the_tags_go_as_they_say() -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from scipy.stats import norm, truncnorm
 
-from onebend.learning.allowances import ANYTHING, POSITIVE, RARE
+from onebend.learning.allowances import ANYTHING, POSITIVE, RARE, TOLERATED
 from onebend.learning.parameters import Block
 from onebend.learning.sites import first_site, is_shaped, moments, updated
 from onebend.records import Array
@@ -17,7 +19,7 @@ def block(within: tuple[float, float] = ANYTHING, sizes: tuple[float, ...] = (1.
     return Block("one", "bench", "1", ("one",), np.array([0.3]), within=within, sizes=sizes, start=0)
 
 
-def through(site: tuple[Array, Array], measured: float, noise: float) -> tuple[Array, Array]:
+def through(site: tuple[Array, Array], measured: float | Array, noise: float) -> tuple[Array, Array]:
     """Mean and sd under a normal prior, of a measured value."""
     precision = 1.0 / site[1] ** 2 + 1.0 / noise**2
     return (site[0] / site[1] ** 2 + measured / noise**2) / precision, 1.0 / np.sqrt(precision)
@@ -69,6 +71,20 @@ def test_one_measured_parameter_has_the_exact_mean_and_sd(one: Block, measured: 
     assert (0.6 if len(one.sizes) > 1 else 0.98) * most - 1e-3 < sd[0] < 1.02 * most + 1e-3
     if len(one.sizes) > 1:
         assert abs(site[0][0]) <= widest  # no force without a place to rest
+
+
+@pytest.mark.parametrize("measured", [(0.0, 0.01, -0.02), (0.4, 0.0, 0.02), (0.3, -0.5, 0.2)])
+def test_the_size_of_all_is_that_of_each_weighed_together(measured: tuple[float, ...]) -> None:
+    """Against the sum over sizes, each with the evidence of all three measurements."""
+    one = replace(block(sizes=TOLERATED), prior_sd=np.full(3, 0.3), labels=("a", "b", "c"), together=True)
+    noise, first, values = 0.1, first_site(one), np.array(measured)
+    sizes = 0.3 * np.array(TOLERATED)[:, None]
+    evidence = np.prod(norm.pdf(values, scale=np.hypot(sizes, noise)), axis=1)
+    means = values * sizes**2 / (sizes**2 + noise**2)
+    mean = evidence @ means / np.sum(evidence)
+    seen, sd = through(first, values, noise)
+    found, _ = through(updated(one, first, seen, sd), values, noise)
+    np.testing.assert_allclose(found, mean, atol=2e-3)
 
 
 def test_a_sparse_parameter_shrinks_where_nothing_is_seen_and_stays_where_much_is() -> None:
