@@ -279,9 +279,10 @@ class FrameForces:
     weigh: Array  # (F, 2, 2) 1/N
     told: Array  # (F, 2)
     common: Array  # (F, 2, r)
+    widened: float  # of the variance of the frames' own noise, for its memory
 
     def take(self, rows: IntArray | slice) -> FrameForces:
-        return FrameForces(self.time[rows], self.weigh[rows], self.told[rows], self.common[rows])
+        return FrameForces(self.time[rows], self.weigh[rows], self.told[rows], self.common[rows], self.widened)
 
 
 @dataclass(frozen=True)
@@ -310,7 +311,7 @@ def read(
     count, ways, time = len(frames), bench.root.shape[1], bench.observations.time[frames]
     weigh, told, common = np.zeros((count, 2, 2)), np.zeros((count, 2)), np.zeros((count, 2, ways))
     if not parts:
-        return FrameForces(time, weigh, told, common)
+        return FrameForces(time, weigh, told, common, 1.0)
     one = _Linear(*(np.concatenate(each) for each in zip(*(vars(part).values() for part in parts), strict=True)))
     one = _without_other(one)
     side, size, _ = np.linalg.svd(one.by_force, full_matrices=False)
@@ -321,7 +322,7 @@ def read(
     weigh[known] = side @ one.by_force
     told[known] = apply(side, one.residual) + apply(weigh[known], load[known, :2])
     common[known] = side @ one.by_shared
-    return FrameForces(time, weigh, told, common)
+    return FrameForces(time, weigh, told, common, widened)
 
 
 def _linear(bench: Bench, frames: IntArray, load: Array, place: Array, prior_sd: Array, seek_place: bool) -> _Linear:
