@@ -47,7 +47,6 @@ RULER = [
 ]
 HUNG = [
     Case("as it is", lambda _: None, passes=True),
-    Case("turned from many turns", column("turned_from_deg", lambda _: "1e9"), "turned_from_deg is beyond 720"),
     Case("one order for all", column("order", lambda _: "1"), "order is the same in two poses"),
     Case("order and turned from", column("order,turned_from_deg", lambda i: f"{i + 1},10"), "both turned_from_deg and"),
     Case("an endless load", rewrite(LOADS, lambda text: text.replace("0.02", "1e300")), "is none. Check its unit"),
@@ -74,7 +73,6 @@ TUBE = [
 QUICK = {
     "a frequency in millihertz",
     "mass in grams",
-    "turned from many turns",
     "gravity in cm/s^2",
     "a rider in grams",
 }

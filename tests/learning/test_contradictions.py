@@ -67,7 +67,7 @@ def test_a_sound_recording_contradicts_nothing() -> None:
 def test_a_turned_log_stays_usable_because_k_is_right() -> None:
     posterior = fitted("turned")
     band = posterior.band(S)
-    assert np.mean((band.low <= SOFT.stiffness(S)) & (SOFT.stiffness(S) <= band.high)) > 0.8
+    assert np.mean((band.low <= SOFT.stiffness(S)) & (SOFT.stiffness(S) <= band.high)) > 0.75
     assert posterior.criticism.causes[0].score.suspect.name == "force direction"
     assert posterior.grade != "not to be trusted"
 

@@ -308,24 +308,30 @@ def pulls(fit: LinearisedFit) -> list[Score]:
             if block.name in ("along", "across", "turn")
             else [-1]
         )
+        usual = np.zeros(len(block.labels)), block.prior_sd
+        mean, sd = fit.optimum.hyperparameters.sites.get((block.name, block.recording), usual)
         for i, tag in enumerate(tags):
             own = np.array([i]) if tag >= 0 else np.arange(len(block.labels))
             suspect = Suspect("prior", block.name, tag, whose)
-            out.append(_pull(fit, suspect, block.start + own, block.prior_sd[own], block.unit))
+            out.append(_pull(fit, suspect, block.start + own, block.prior_sd[own], (mean[own], sd[own]), block.unit))
     return out
 
 
-def _pull(fit: LinearisedFit, suspect: Suspect, index: IntArray, before: Array, unit: str) -> Score:
-    x = fit.optimum.x[index]
-    where = slice(int(index[0]), int(index[-1]) + 1)
-    after = fit.covariance.among(where)
+def _pull(
+    fit: LinearisedFit, suspect: Suspect, index: IntArray, before: Array, site: tuple[Array, Array], unit: str
+) -> Score:
+    """Against the stated tolerance `before` (n,), where the fit has normal priors of the means and sds `site`."""
+    where, (middle, sd) = slice(int(index[0]), int(index[-1]) + 1), site
+    information = np.linalg.inv(fit.covariance.among(where))
+    after = np.linalg.inv(information + np.diag(before**-2.0 - sd**-2.0))
+    x = after @ (information @ fit.optimum.x[index] - middle / sd**2)
     removed = np.eye(len(index)) - after / np.outer(before, before)
     values, vectors = np.linalg.eigh(0.5 * (removed + removed.T))
     judged = values > _LEAST_REMOVED
     freed = vectors[:, judged] @ ((vectors[:, judged].T @ (x / before)) / values[judged])  # in prior sds
     gain, count = float(freed @ (x / before)), int(np.sum(judged))
     log10_p = _log10(chdtrc(count, gain)) if count else 0.0
-    shift = fit.covariance.shared_with(where)[: fit.problem.layout.spline.count] @ (freed / before)
+    shift = fit.covariance.shared_with(where)[: fit.problem.layout.spline.count] @ ((before * freed - middle) / sd**2)
     size = float(np.linalg.norm(x)) if unit == "m" else 0.0
     return Score(suspect, before * freed if count else np.full(len(x), np.nan), before, gain, log10_p, size, shift)
 

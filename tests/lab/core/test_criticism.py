@@ -180,7 +180,7 @@ def test_a_turned_tag_is_noted_but_does_no_harm() -> None:
     one = fit([moved(fitted().recordings[0].observations, 0, (0.0, 0.0, np.deg2rad(9.0)))], 0.02, settings=SMALL)
     assert one.criticism.trusted
     assert any(
-        remark.level == "note" and "tag 1 is turned by 8.9" in remark.text for remark in worded(fit_notices(one))
+        remark.level == "note" and "tag 1 is turned by 9 deg" in remark.text for remark in worded(fit_notices(one))
     )
 
 

@@ -71,7 +71,8 @@ def test_a_pull_is_judged_by_what_the_data_removed_of_the_prior(left: float, jud
         covariance=JointCovariance(1, (np.array([[0.04, 1e-4], [1e-4, left * sd**2]]),), (slice(0, 1), slice(1, 2))),
         problem=SimpleNamespace(layout=SimpleNamespace(spline=SimpleNamespace(count=1))),
     )
-    score = _pull(cast(LinearisedFit, fit), Suspect("prior", "clamp"), np.array([1]), np.array([sd]), "rad")
+    site = np.zeros(1), np.array([sd])
+    score = _pull(cast(LinearisedFit, fit), Suspect("prior", "clamp"), np.array([1]), np.array([sd]), site, "rad")
     if not judged:
         assert score.gain == 0.0
         assert np.isnan(score.value[0])
@@ -79,6 +80,25 @@ def test_a_pull_is_judged_by_what_the_data_removed_of_the_prior(left: float, jud
     assert score.gain == pytest.approx(x**2 / (sd**2 * (1.0 - left)))
     assert score.value[0] == pytest.approx(x / (1.0 - left))  # where the data alone put it
     assert score.shift[0] == pytest.approx(1e-4 * x / (sd**2 * (1.0 - left)))
+
+
+def test_a_pull_is_judged_by_the_stated_tolerance_whatever_normal_prior_the_fit_has() -> None:
+    stated, measured, noise = 0.01, 0.03, 0.004
+    scores = []
+    for middle, sd in ((0.0, stated), (0.002, 0.003), (0.0, 0.016)):
+        variance = 1.0 / (sd**-2 + noise**-2)
+        x = variance * (middle / sd**2 + measured / noise**2)
+        fit = SimpleNamespace(
+            optimum=SimpleNamespace(x=np.array([5.0, x])),
+            covariance=JointCovariance(1, (np.diag([0.04, variance]),), (slice(0, 1), slice(1, 2))),
+            problem=SimpleNamespace(layout=SimpleNamespace(spline=SimpleNamespace(count=1))),
+        )
+        site = np.array([middle]), np.array([sd])
+        own = np.array([1]), np.array([stated])
+        scores.append(_pull(cast(LinearisedFit, fit), Suspect("prior", "clamp"), *own, site, "rad"))
+    for one in scores:
+        assert one.value[0] == pytest.approx(measured)
+        assert one.gain == pytest.approx(measured**2 / (stated**2 + noise**2))
 
 
 def test_a_shift_is_measured_in_sds_where_it_is_largest_in_them() -> None:
