@@ -103,7 +103,7 @@ def test_after_the_last_frame_the_band_is_that_of_learn() -> None:
     whole = learn_observed(observe_markers(described(), markers_of(described(), found), log()), fitting=QUICK).posterior
     assert whole is not None
     (here, sd), (there, batch_sd) = run.posterior.stiffness.log_at(S), whole.stiffness.log_at(S)
-    assert abs(np.median(sd / batch_sd) - 1.0) < 0.25  # frames differ, and with them what the fit finds of the tolerances
+    assert abs(np.median(sd / batch_sd) - 1.0) < 0.25  # of other frames
     assert np.sqrt(np.mean(((here - there) / batch_sd) ** 2)) < 0.8
     with pytest.raises(ObservationError, match="finished"):
         live.frame(film[0].luma, 9.0)

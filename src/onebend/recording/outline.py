@@ -382,7 +382,7 @@ def outline_track(
 # Beside tags the outline is used only where it agrees with them. A tag may sit beside the middle of the body, by its
 # placement; as the body bends, it stays there.
 
-MOST_READ = 240  # pictures at most are read beside tags; from half as many, k(s) of a phone's film is far wider
+MOST_READ = 160  # pictures at most are read beside tags: the errors of an outline last, and more pictures tell no more
 BESIDE = 3e-4  # m: one sd of where a tag's middle seems to lie, besides its placement
 MOVED = 5e-3  # of the length: a line that moves more against a tag is not the body's
 TURNED = 0.03  # rad, likewise by its direction there
