@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -576,6 +577,7 @@ _SHARES = np.array([0.1, 0.3, 0.5, 0.75, 1.0, 1.5, 2.5])  # of the largest force
 _AROUND = 24  # directions
 _STEP, _LONGEST, _MOST_TRIALS, _SHORTER = 1e-3, 0.3, 20, 0.3  # the first two likewise
 _NOWHERE = 1e3  # sds: where the beam does not stand
+_SURE = 0.02  # of the length: the larger semi-axis of the error of a force that does not meet the goal
 _MOST_STARTS_IN_SETUP = 12
 _ON_THE_WAY = 20
 
@@ -673,10 +675,12 @@ def reach_in_setup(
     starts = _nearest_first(bent, wanted, point, largest)
     exact = _force_in_setup(bent, wanted, point, starts, largest, _MET * beam.length)
     if exact is None or now.beyond(exact[0]):
-        spread = answer(starts[0], 0).predicted.covariance
-        smaller = answer(*_likely_in_setup(bent, wanted, point, starts[0], largest, spread))
-        if smaller.predicted.holds(wanted):
-            return smaller
+        with contextlib.suppress(ControlError):  # of that force alone
+            spread = answer(np.zeros(2), 0).predicted.covariance
+            smaller = answer(*_likely_in_setup(bent, wanted, point, largest, spread))
+            sure = smaller.predicted.ellipse().semi_axes[0] < _SURE * beam.length
+            if sure and smaller.predicted.holds(wanted):
+                return smaller
     if exact is None:
         alone = reach(beam, wanted, push_s=now.push_s, point_s=point_s, settings=settings)
         raise ControlError("no force in this set-up puts the point on its goal" if alone.converged else alone.reason)
@@ -702,10 +706,10 @@ def _force_in_setup(
 
 
 def _likely_in_setup(
-    bent: Callable[[Array], Bent], goal: Array, point: Array, start: Array, largest: float, spread: Array
+    bent: Callable[[Array], Bent], goal: Array, point: Array, largest: float, spread: Array
 ) -> tuple[Array, int]:
-    """(2,) N of the greatest probability, and the number of trials, where the point errs by `spread` (2, 2) [m^2] and
-    each axis of the force is as likely as one of the recording's: a normal density of the sd `largest`."""
+    """(2,) N of the greatest probability, and the number of trials, on the way from rest, where the point errs by
+    `spread` (2, 2) [m^2] and each axis of the force has a normal density of the sd `largest`."""
     root = np.linalg.inv(np.linalg.cholesky(spread))
 
     def away(force: Array) -> Array:
@@ -713,7 +717,7 @@ def _likely_in_setup(
         off = root @ (there.xy(point)[0, 0] - goal) if there.stands[0] else np.full(2, _NOWHERE)
         return np.append(off, force / largest)
 
-    found = least_squares(away, start, x_scale=largest, diff_step=_STEP, max_nfev=_MOST_TRIALS)
+    found = least_squares(away, np.zeros(2), x_scale=largest, diff_step=_STEP, max_nfev=_MOST_TRIALS)
     return found.x, int(found.nfev)
 
 
