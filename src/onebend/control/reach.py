@@ -646,8 +646,9 @@ def reach_in_setup(
 
     The goal is in the frame of the recording. `new`: what is another one now, its parts drawn from their priors.
     `push_s`: default as in the recording. The error is that of `draws` from the joint posterior. `uncertain` is the
-    band of `beam`. A goal that takes no force, or one far beyond those of the recording, may still lie within the error
-    of a smaller force: then that is the answer. Raises `ControlError` where the goal cannot be reached, and as `reach`.
+    band of `beam`. If no force up to 1.5 times the largest of the recording meets the goal, but the 95 % ellipse of a
+    smaller one contains it, that one is the answer. Raises `ControlError` where the goal cannot be reached, and as
+    `reach`.
     """
     wanted, point = checked_goal(goal, settings), np.array([point_s])
     now = setup.renewed(new, push_s=push_s, length=beam.length)

@@ -349,8 +349,8 @@ def _coefficient_rows(posterior: Posterior) -> tuple[slice, Array]:
 
 
 def _force_error_rows(posterior: Posterior, number: int, terms: Array) -> tuple[slice, Array]:
-    """The error of the force that comes again in each push, as a polynomial in the displacement: `terms` (T, 2) of the
-    frames. It is that of the posture; slow errors of the log are of its time.
+    """The error of the force that recurs in each push, as a polynomial in the displacement: `terms` (T, 2) of the
+    frames. It depends on the posture. Slow errors of one log do not recur.
 
     Returns where the parameters stand, and the polynomial's coefficients as functions of them.
     """
