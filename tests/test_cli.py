@@ -312,13 +312,17 @@ def test_new_then_check_leads_to_the_next_step(tmp_path: Path) -> None:
 def test_new_names_the_film_and_the_log_that_are_there(tmp_path: Path) -> None:
     for name in ("Push 3.MOV", "wrench.csv", "notes.md", ".hidden.mp4"):
         (tmp_path / name).write_text("x")
-    assert run("new", tmp_path).exit_code == 0
+    result = run("new", tmp_path)
+    assert result.exit_code == 0
+    assert "put the video" not in result.stdout
     written = (tmp_path / "recording.toml").read_text()
     assert 'file = "Push 3.MOV"' in written
     assert 'file = "wrench.csv"' in written
     (tmp_path / "recording.toml").unlink()
     (tmp_path / "another.csv").write_text("x")
-    assert run("new", tmp_path).exit_code == 0
+    result = run("new", tmp_path)
+    assert result.exit_code == 0
+    assert "put the video and the force log beside it" in " ".join(result.stdout.split())
     assert 'file = "force.csv"' in (tmp_path / "recording.toml").read_text()
 
 

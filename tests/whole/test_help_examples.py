@@ -22,7 +22,7 @@ COMMANDS = all_commands()
 ROOT = Path(__file__).parents[2]
 # Those that take seconds need the result of `make demo` itself, or make films; the others do with a designed beam.
 DEAR = (
-    "learn", "validate", "plan", "damp", "loop", "check",
+    "learn", "validate", "plan", "damp", "loop", "check", "sense",
     "film", "calibrate", "rehearse", "batch",
     "population", "record", "drive",
 )  # fmt: skip
