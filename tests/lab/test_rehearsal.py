@@ -85,9 +85,9 @@ def test_band_and_bias_are_those_of_the_fits_own_posterior() -> None:
 @pytest.mark.parametrize("setup", [CUBIC, UNIFORM], ids=["cubic", "uniform"])
 def test_predicted_band_is_that_of_fits(setup: Setup) -> None:
     """Steps and bumps of k widen the band, an even k narrows it: as in fits of simulated recordings."""
-    fits = simulate(setup, range(3))
+    fits = simulate(setup, range(2))
     assert not any(fit.failure for fit in fits)
-    sd = np.median([fit.sd for fit in fits], axis=0)
+    sd = np.mean([fit.sd for fit in fits], axis=0)
     assert np.median(predict(setup).sd / sd) == pytest.approx(1.0, abs=0.08)
 
 
