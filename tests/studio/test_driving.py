@@ -111,7 +111,8 @@ def test_a_goal_out_of_reach_is_said(bench: Path, told: Told) -> None:
     "more",
     [
         {"goal_m": [1]}, {"push_s": 0}, {"model": "../beam"}, {"like": "beam"}, {"out": ""}, {"out": "."},
-        {"robot": ""}, {"robot": "virtual:/etc/passwd"}, {"robot": "virtual:../beam"}, {"camera": "film:/etc/passwd"}, {"out": "../x"},
+        {"robot": ""}, {"robot": "virtual:/etc/passwd"}, {"robot": "virtual:../beam"},
+        {"camera": "film:/etc/passwd"}, {"out": "../x"},
     ],
 )  # fmt: skip
 def test_what_has_no_meaning_is_refused(bench: Path, more: dict[str, Any]) -> None:
