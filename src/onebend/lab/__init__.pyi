@@ -11,14 +11,13 @@ from .designs import (
     Design as Design,
     Expected as Expected,
     ModulusEstimate as ModulusEstimate,
-    Silicone as Silicone,
     TipBend as TipBend,
     design_named as design_named,
     expect as expect,
     force_that_bends as force_that_bends,
+    from_shore_a as from_shore_a,
     random_stiffness as random_stiffness,
     read_design as read_design,
-    silicone as silicone,
     width_table as width_table,
 )
 from .filming import Filming as Filming, film as film
