@@ -32,7 +32,7 @@ from .forecast import (
     setup_of as setup_of,
 )
 from .random_bench import FilmRequest as FilmRequest, filming_of as filming_of
-from .rehearsal import Obtained as Obtained, Rehearsal as Rehearsal, SimulatedRun as SimulatedRun, rehearse as rehearse
+from .rehearsal import Rehearsal as Rehearsal, rehearse as rehearse
 from .rendering import Camera as Camera, Scene as Scene
 from .rod import RodMotion as RodMotion
 from .sheet import Sheet as Sheet, tag_pages as tag_pages, write_pages as write_pages
