@@ -20,7 +20,6 @@ from onebend.lab.virtual import (
     VirtualBench,
     VirtualClock,
     VirtualTag,
-    observe_from_truth,
     observe_virtual,
     virtual_recording,
 )
@@ -30,6 +29,7 @@ from onebend.learning.posterior import fit
 from onebend.learning.start import start_of
 from onebend.progress import in_processes, one_blas_thread
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, Observations
+from tests.lab.from_truth import observe_from_truth
 
 BASE_TURN = np.deg2rad(1.0)  # sd of the base tag's turn on the clamp
 OFFSET = 250.0  # s, log clock minus film clock

@@ -43,7 +43,6 @@ from .virtual import (
     VirtualClock as VirtualClock,
     VirtualRecording as VirtualRecording,
     VirtualTag as VirtualTag,
-    observe_from_truth as observe_from_truth,
     observe_virtual as observe_virtual,
     true_stiffness as true_stiffness,
     virtual_recording as virtual_recording,
