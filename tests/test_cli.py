@@ -132,23 +132,7 @@ def test_learn_without_a_report_draws_nothing(
     written = {path.name for path in out.rglob("*")}
     assert {"model.json", "stiffness.csv", "summary.json"} <= written
     assert not written & {"report.html", "figures"}
-    assert "no report to open" in run("learn", "REC", "-o", tmp_path / "b", "--no-report", "--open").stderr
     assert len(pipeline) == 1
-
-
-def test_learn_shows_all_of_it_when_asked(
-    tmp_path: Path, pipeline: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(learning_commands, "draw_all", lambda *_, **__: Pictures())
-    details = (
-        "chosen", "k(s) is not positive", "together", "the paper's regression", "clamp angle", "sd before",
-        "Hardly told apart", "assumed to be exact", "converged", "Allowed for",
-    )  # fmt: skip
-    shown = [run("learn", "REC", "-o", tmp_path / name, *option).stdout for name, option in (("a", ["-v"]), ("b", []))]
-    for words in details:
-        assert words in shown[0], words
-        assert words not in shown[1], words
-    assert len(pipeline) == 2
 
 
 def test_the_answer_comes_before_the_pictures(

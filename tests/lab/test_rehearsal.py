@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.simulated_runs import SimulatedRun, benches, obtained_of, simulate
 from onebend.cli import app
-from onebend.errors import MechanicsError, OnebendError, RecordingError
+from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.designs import DESIGNS
 from onebend.lab.forecast import (
     BASIS,
@@ -31,17 +32,7 @@ from onebend.lab.forecast import (
     uncertainty_budget,
 )
 from onebend.lab.random_bench import FilmRequest
-from onebend.lab.rehearsal import (
-    COLUMNS,
-    SimulatedRun,
-    benches,
-    obtained_of,
-    rehearsal_figure,
-    rehearse,
-    simulate,
-    summary_of,
-    write_table,
-)
+from onebend.lab.rehearsal import COLUMNS, rehearsal_figure, rehearse, summary_of, write_table
 from onebend.learning.design import STEPS
 from onebend.learning.normal import Draws, InformationForm, stiffness_mixture
 from onebend.records import PLACE_SD, Array
@@ -241,12 +232,7 @@ def test_ranges_are_those_of_the_mask() -> None:
 )
 def test_nonsense_is_refused(tags: tuple[float, ...], asked: FilmRequest, says: str) -> None:
     with pytest.raises((RecordingError, MechanicsError), match=says):
-        rehearse(setup_of(known_beam("quadratic"), [asked], tags=tags), runs=0)
-
-
-def test_counts_that_cannot_be_are_refused() -> None:
-    with pytest.raises(OnebendError, match="runs >= 0"):
-        rehearse(WRIST, runs=-1)
+        rehearse(setup_of(known_beam("quadratic"), [asked], tags=tags))
 
 
 def test_a_learned_model_can_be_rehearsed(tmp_path: Path) -> None:
@@ -257,7 +243,7 @@ def test_a_learned_model_can_be_rehearsed(tmp_path: Path) -> None:
 
 
 def test_files_hold_what_was_found(tmp_path: Path) -> None:
-    found = rehearse(WRIST, runs=0, count=2)
+    found = rehearse(WRIST, count=2)
     write_table(tmp_path, found)
     draw({"rehearsal": partial(rehearsal_figure, found)}).write(tmp_path)
     rows = (tmp_path / "rehearsal.csv").read_text(encoding="utf-8").splitlines()
@@ -266,13 +252,12 @@ def test_files_hold_what_was_found(tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs" / "plan.md").read_text(encoding="utf-8")
     assert all(f"`{column}`" in page for column in COLUMNS)
     summary = json.loads(to_json(summary_of(found, written_by="a test")))
-    assert summary["obtained"] is None
     assert len(summary["advice"]) == 2
     assert {path.name for path in tmp_path.iterdir()} == {"rehearsal.csv", "rehearsal.png"}
 
 
 def test_command_line() -> None:
-    asked = ["rehearse", "linear", "--sensor", "wrist", "--tags", "0.4,1", "--runs", "0", "-q"]
+    asked = ["rehearse", "linear", "--sensor", "wrist", "--tags", "0.4,1", "-q"]
     twice = ["--push-at", "1", "--push-at", "0.7"]
     told = CliRunner().invoke(app, asked)
     assert told.exit_code == 0
