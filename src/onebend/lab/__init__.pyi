@@ -22,7 +22,6 @@ from .designs import (
 )
 from .filming import Filming as Filming, film as film
 from .forecast import (
-    BudgetEntry as BudgetEntry,
     KnownBeam as KnownBeam,
     PredictedBand as PredictedBand,
     Setup as Setup,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -19,7 +19,6 @@ from onebend.cli import BY, common
 from onebend.errors import MechanicsError, reference
 from onebend.files.single_file import write_files
 from onebend.lab import designs
-from onebend.lab.bench import PATCH_OVER_TAG, effects_named
 from onebend.lab.filming import Filming, check, check_trackable, film as make_film, marker_recording
 from onebend.lab.random_bench import LABORATORY, BenchRanges, FilmRequest, design_with_effects, filming_of, random_bench
 from onebend.lab.sheet import Sheet, files_of, strip_page, tag_pages
@@ -45,12 +44,6 @@ class FilmOptions:
     """What a film shows beside the push."""
 
     effects: bool = option("--effects", False, "Effects of real benches, drawn at random: stretch, relaxation ...")
-    effect: tuple[str, ...] = option(
-        "--effect",
-        (),
-        "One effect of a real bench with its size in SI units, as relaxation=0.1; may be repeated.",
-        metavar="NAME=SIZE",
-    )
     markers: bool = option("--markers", False, "Tracked markers instead of a film; takes a second. Slow pushes only.")
     seed: int = option("--seed", 0, "The same seed makes the same files.", metavar="N", within=(0, None))
 
@@ -70,10 +63,6 @@ def film(
 ) -> None:
     with common.clean_errors(), common.progress_of(quiet) as progress:
         filming, folder = _filming(design, request, asked.seed, output, asked.effects)
-        if asked.effect:
-            bench, patch = filming.bench, PATCH_OVER_TAG * filming.tag_size
-            before = bench.effects if asked.effects else replace(bench.effects, patch_length=patch)
-            filming = replace(filming, bench=replace(bench, effects=effects_named(asked.effect, before)))
         check(filming, folder)
         if asked.markers:
             check_trackable(filming)
@@ -180,8 +169,6 @@ class TagOptions:
     family: str | None = option("--family", None, "Default: tag36h11.", metavar="FAMILY")
     rim: float = option("--rim-cells", 1.0, "White around the black square.", metavar="N", within=(1.0, common.MOST))
     page: Literal["a4", "letter"] = option("--page", "a4", "Size of the paper.")
-    cut_marks: bool = option("--no-cut-marks", True, "Leave the cut marks out.")
-    labels: bool = option("--no-labels", True, "Leave the numbers out.")
 
 
 MOST_TAGS = 1000
@@ -233,7 +220,7 @@ def tags(
         else:
             numbers = tuple(tag.id for tag in (*known.tags.on_base, *known.tags.on_beam))
             side, named = known.tags.size, known.tags.family
-        sheet = Sheet(numbers, side, named, asked.rim, asked.page, asked.cut_marks, asked.labels)
+        sheet = Sheet(numbers, side, named, asked.rim, asked.page)
         pages = tag_pages(sheet)
         if known is not None:
             pages = (*pages, strip_page(known, page=asked.page, rim=asked.rim))

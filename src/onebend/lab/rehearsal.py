@@ -1,4 +1,4 @@
-"""A rehearsal: predicted band, uncertainty budget, advice."""
+"""A rehearsal: predicted band, and advice."""
 
 from __future__ import annotations
 
@@ -27,7 +27,6 @@ MEDIAN, NINETY = 0.674490, 1.644854  # of |z| for a normal z
 class Rehearsal:
     setup: forecast.Setup
     predicted: forecast.PredictedBand
-    budget: tuple[forecast.BudgetEntry, ...]  # most costly first
     advice: tuple[forecast.SetupChange, ...]  # best first
 
     def as_dict(self) -> dict[str, Any]:
@@ -41,7 +40,6 @@ class Rehearsal:
             "setup": {**asked, **tolerances, "clock_sd_s": s.clock_sd, "fps": s.fps},
             "s": PLACES.tolist(),
             "predicted": {**said, "identified": forecast.ranges(p.identified), "band": asdict(p.quality)},
-            "uncertainty_budget": [asdict(entry) for entry in self.budget],
             "advice": [change.as_dict() for change in self.advice],
         }
 
@@ -55,8 +53,7 @@ def rehearse(setup: forecast.Setup, *, count: int = 8, progress: Progress = Sile
     """
     forecast.check_bending(setup)
     predicted = forecast.predict(setup)
-    budget = forecast.uncertainty_budget(setup, predicted)
-    return Rehearsal(setup, predicted, budget, forecast.advise(setup, predicted, count=count, progress=progress))
+    return Rehearsal(setup, predicted, forecast.advise(setup, predicted, count=count, progress=progress))
 
 
 def setup_words(setup: forecast.Setup) -> str:

@@ -21,7 +21,7 @@ from onebend.cli.models import SetUpOptions, gravity_on, read_trusted, warn_beyo
 from onebend.control import loop_simulation
 from onebend.control.loop import controller
 from onebend.errors import RecordingError
-from onebend.lab.forecast import BudgetEntry, Tolerances, known_beam, setup_of
+from onebend.lab.forecast import Tolerances, known_beam, setup_of
 from onebend.lab.random_bench import FilmRequest
 from onebend.lab.rehearsal import (
     MEDIAN,
@@ -111,8 +111,6 @@ def show_rehearsal(console: Console, rehearsal: Rehearsal) -> None:
     console.print(say("would be known", quality=rehearsal.predicted.quality))
     console.print(errors_table(rehearsal))
     console.print()
-    console.print(budget_table(rehearsal.budget))
-    console.print()
     if rehearsal.advice:
         console.print(advice_table(rehearsal))
     else:
@@ -128,14 +126,6 @@ def errors_table(rehearsal: Rehearsal) -> Table:
         place = f"{PLACES[i]:.1f}{' ' if p.identified[i] else '*'}"
         errors = _percent(MEDIAN * p.error[i]), _percent(NINETY * p.error[i])
         table.add_row(place, significant(float(p.k[i])), *errors)
-    return table
-
-
-def budget_table(budget: Sequence[BudgetEntry]) -> Table:
-    title = "Largest causes: how well k(s) would be known if one thing were known exactly"
-    table = common.listing(title, "<known exactly", "k(s) then", "removes")
-    for entry in budget:
-        table.add_row(escape(entry.name), width_words(entry.mean_width), share_words(entry.share))
     return table
 
 
