@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mmap
+import os
 import signal
 import subprocess
 import sys
@@ -14,7 +15,7 @@ import pytest
 
 from onebend import progress
 from onebend.learning.normal import in_own_pages
-from onebend.progress import each
+from onebend.progress import each, leave_interrupts_to_parent, real_time
 
 
 def test_results_are_alike_to_the_bit_and_in_order_on_one_core_and_on_many(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -94,6 +95,29 @@ def test_a_large_array_is_copied_as_it_is_to_pages_that_go_with_it(turned: bool)
 def test_a_small_array_stays_where_it_is() -> None:
     array = np.zeros((100, 100))
     assert in_own_pages(array) is array
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="no real time here")
+def test_real_time_ends_with_its_block_and_workers_have_none() -> None:
+    before, mine = os.sched_getscheduler(0), signal.getsignal(signal.SIGINT)
+    try:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
+        os.sched_setscheduler(0, before, os.sched_param(0))
+        granted = os.SCHED_RR
+    except PermissionError:
+        granted = before
+    with real_time():
+        assert os.sched_getscheduler(0) == granted
+        begun: list[int] = []
+        thread = threading.Thread(target=lambda: begun.append(os.sched_getscheduler(0)))
+        thread.start()
+        thread.join()
+        assert begun == [granted]
+    assert os.sched_getscheduler(0) == before
+    with real_time():
+        leave_interrupts_to_parent()
+        assert os.sched_getscheduler(0) == before
+    signal.signal(signal.SIGINT, mine)
 
 
 MASKED = """

@@ -35,4 +35,4 @@ def test_names_of_files_with_raised_digits(tmp_path: Path) -> None:
     """A ² is a digit that is no number."""
     for name in ("run_².mcap", "run_10.mcap", "run_٢.mcap", "run_3.mcap"):
         (tmp_path / name).touch()
-    assert [file.name for file in files_of(tmp_path)] == ["run_².mcap", "run_٢.mcap", "run_3.mcap", "run_10.mcap"]
+    assert [file.name for file in files_of(tmp_path)] == ["run_٢.mcap", "run_3.mcap", "run_10.mcap", "run_².mcap"]

@@ -150,7 +150,7 @@ def test_what_a_target_leaves_out_is_said_with_the_amount() -> None:
     assert amount is not None
     apart = THICK.equilibrium((0.0, 0.3)).xy(1.0) - SMOOTH.equilibrium((0.0, 0.3)).xy(1.0)
     assert float(amount[1]) == pytest.approx(1e3 * np.linalg.norm(apart), rel=0.15)
-    assert any("damping over stiffness = 0.013 s" in one for one in without(rod, "pyelastica"))
+    assert any("damping (over stiffness: 0.013 s)" in one for one in without(rod, "pyelastica"))
     [rest, *_] = without(rod, "mujoco-flex")
     assert "rest shape" in rest
     for sentence in (*without(rod, "mujoco-flex"), *without(rod, "sdf")):
@@ -251,7 +251,7 @@ def test_the_largest_push_of_a_model_is_the_one_that_amounts_are_said_for() -> N
         uncertain=None,
         setup=None,
         section=None,
-        damping=SimpleNamespace(loss_time=0.03),
+        damping=SimpleNamespace(loss_time=0.03, loss_time_sd=0.006),
         bench=SimpleNamespace(pushes=pushes),
     )
     rod = sample_of_model(stored)
@@ -259,7 +259,27 @@ def test_the_largest_push_of_a_model_is_the_one_that_amounts_are_said_for() -> N
     np.testing.assert_allclose(rod.push[0], (0.0, 0.4), atol=1e-15)
     assert rod.push[1] == 0.8
     assert rod.damping_time == 0.03
-    assert sample_of_model(stored, damping_time=0.01).damping_time == 0.01
+    assert rod.damping_sd == pytest.approx(0.2)
+    overridden = sample_of_model(stored, damping_time=0.01)
+    assert (overridden.damping_time, overridden.damping_sd) == (0.01, 0.0)
+
+
+@pytest.mark.parametrize("in_setup", [False, True])
+def test_damping_is_drawn_with_its_band(in_setup: bool) -> None:
+    rod = sample_of_model(in_a_setup(banded())) if in_setup else of_band(banded())
+    rod = replace(rod, damping_time=0.03, damping_sd=0.2)
+    draws = drawn(rod, 4000, seed=3)
+    times = np.array([one.damping_time for one in draws])
+    assert np.quantile(times, [0.025, 0.5, 0.975]) == pytest.approx([0.03 / 1.48, 0.03, 0.03 * 1.48], rel=0.03)
+    level = np.log([float(one.beam.stiffness(0.5)) for one in draws])
+    assert abs(np.corrcoef(np.log(times), level)[0, 1]) < 0.05
+    assert [one.damping_time for one in drawn(rod, 5, seed=3)] == times[:5].tolist()
+    one = replace(draws[7], beam=replace(draws[7].beam, thickness=None), section=None)
+    model = mujoco.MjModel.from_xml_string(str(export(one, "mujoco")))
+    np.testing.assert_allclose(model.dof_damping, times[7] * model.jnt_stiffness.ravel())
+    assert numbers(str(export(one, "newton")))["DAMPING_TIME_S"] == times[7]
+    assert "damping over stiffness: 0.03 s; 95 %: 0.0203 to 0.0444 s" in text_on(bytes(export(rod, "sheet")))  # type: ignore[arg-type]
+    assert any("0.03 s; 95 %: 0.0203 to 0.0444 s" in one for one in without(rod, "pyelastica"))
 
 
 def in_a_setup(uncertain: UncertainStiffness) -> StoredModel:

@@ -313,6 +313,24 @@ def test_pictures_that_wait_are_all_filmed(tmp_path: Path, most_waiting: int) ->
     assert all(b > a for a, b in pairwise(times.tolist()))
 
 
+def test_tags_do_not_wait_for_the_encoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = folder(tmp_path) / "recording.toml"
+    text.write_text(text.read_text().partition("[force]")[0], encoding="utf-8")
+    real, seen, waited = FilmWriter.write, threading.Event(), list[bool]()
+
+    def write(self: FilmWriter, picture: Picture, time: float, colour: object = None) -> bool:
+        waited.append(seen.wait(20.0))  # an encoder that goes on when tags were seen, and not before
+        return real(self, picture, time, colour)
+
+    monkeypatch.setattr(FilmWriter, "write", write)
+    settings = replace(SETTINGS, begin_at_once=True)
+    outcome = record(tmp_path, AtOnce(), None, settings, clock=HostClock(), tags=lambda *_: seen.set())
+    assert waited[0]
+    film = read_recording(tmp_path).video
+    assert film is not None
+    assert len(list(read_frames(film))) == outcome.state.frames == len(waited)
+
+
 def test_the_room_left_is_that_of_the_disk(tmp_path: Path) -> None:
     assert capture_folder.room_left(tmp_path) > 0.0
     assert np.isnan(capture_folder.room_left(tmp_path / "nowhere"))

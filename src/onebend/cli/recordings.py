@@ -89,9 +89,6 @@ Picture = Annotated[
     Path,
     typer.Option("--output", "-o", metavar="PNG", help="The picture to draw; it replaces that of an earlier check."),
 ]
-Definitions = Annotated[
-    Path | None, typer.Option(metavar="DIR", help="Folder with .msg files, for a bag without message definitions.")
-]
 
 PICTURE = "check.png"
 
@@ -183,7 +180,7 @@ def ask(place: Place, says: str) -> str:
 
 def bag_values(bag: Path, folder: Path) -> dict[str, dict[str, str]]:
     """Values for [video] and [force]: the bag's path from `folder`, and the likeliest topics."""
-    found = bag_contents(bag, None)
+    found = bag_contents(bag)
     file = quoted(os.path.relpath(found.path.resolve(), folder.resolve()))
     video = {"file": file, "topic": quoted(found.image)}
     return {"video": video, "force": {"file": file, "topic": quoted(found.force), "axes": ""}}
@@ -225,9 +222,9 @@ def check(
             raise ObservationError("\n".join(found.faults))
 
 
-def topics(bag: BagPath, *, definitions: Definitions = None, as_json: common.Json = False) -> None:
+def topics(bag: BagPath, *, as_json: common.Json = False) -> None:
     with common.clean_errors():
-        found = bag_contents(bag, definitions)
+        found = bag_contents(bag)
     if as_json:
         common.print_json(as_data(found))
     else:
@@ -243,14 +240,13 @@ def as_data(found: BagContents) -> dict[str, object]:
 
 def lines_to_write(found: BagContents) -> str:
     """Tables of recording.toml for the likeliest topics."""
-    keep = ['damaged = "keep"'] if found.fault else []
     tables = []
     if found.image:
-        tables.append(["[video]", f'file = "{found.path.name}"', f'topic = "{found.image}"', *keep])
+        tables.append(["[video]", f'file = "{found.path.name}"', f'topic = "{found.image}"'])
     if found.force:
         others = [row.topic for row in found.rows if row.type in FIELDS and row.count and row.topic != found.force]
         more = f"  # or {', '.join(others)}" if others else ""
-        tables.append(["[force]", f'file = "{found.path.name}"', f'topic = "{found.force}"{more}', *keep, *TO_ADD])
+        tables.append(["[force]", f'file = "{found.path.name}"', f'topic = "{found.force}"{more}', *TO_ADD])
     if not tables:
         return "It holds no images, and no topic whose force is known: name the topic and its field in [force]."
     return "\n\n".join(["For recording.toml:", *("\n".join(table) for table in tables)])

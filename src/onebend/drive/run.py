@@ -6,6 +6,7 @@ import math
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -26,7 +27,7 @@ from onebend.live.live import LiveSettings
 from onebend.live.recording_folder import GrowingTable, with_values
 from onebend.live.session import record
 from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame
-from onebend.progress import interrupts_held, leave_interrupts_to_parent
+from onebend.progress import interrupts_held, leave_interrupts_to_parent, real_time
 from onebend.recording.folder import FILE_NAME, read_recording
 from onebend.records import Array
 from onebend.text_files import MOST_TOML, read_text, to_json
@@ -128,9 +129,10 @@ def drive(
         longest=1e5, live_beside=beside, live=LiveSettings(),
     )  # fmt: skip
     try:
-        recorded = record(
-            folder, _Watched(camera, made), made, settings, now_and_then, over, clock=clock, tags=table.see
-        )
+        with real_time() if clock is None else nullcontext():
+            recorded = record(
+                folder, _Watched(camera, made), made, settings, now_and_then, over, clock=clock, tags=table.see
+            )
     finally:
         table.close()
         if learner is not None:

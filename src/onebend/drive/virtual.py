@@ -28,7 +28,7 @@ from onebend.lab.filming import PLACES
 from onebend.lab.rod import RodTask, balanced, cells_of, contact_of, poses_of, relaxation
 from onebend.lab.virtual import VirtualBench
 from onebend.live.sources import Clock, End, Frame, StampTiming
-from onebend.progress import interrupts_held, leave_interrupts_to_parent
+from onebend.progress import interrupts_held, leave_interrupts_to_parent, real_time
 from onebend.recording.entries import Recording
 from onebend.recording.video import Picture
 from onebend.records import Array
@@ -362,6 +362,11 @@ class VirtualCamera:
 def _serve(setup: VirtualSetup, orders: Connection, states: Connection, frames: Connection) -> None:
     """The process: it keeps up with the clock, and says what is new."""
     leave_interrupts_to_parent()
+    with real_time():
+        _keep_up(setup, orders, states, frames)
+
+
+def _keep_up(setup: VirtualSetup, orders: Connection, states: Connection, frames: Connection) -> None:
     cell = VirtualCell(setup, host.monotonic())
     ready: deque[tuple[float, float, Picture]] = deque()
     number, asked, heard = 0, True, math.inf
@@ -372,6 +377,9 @@ def _serve(setup: VirtualSetup, orders: Connection, states: Connection, frames: 
                 cell.skip_to(now)
             cell.advance(now)
             states.send(cell.state())
+            while len(cell.frames) > 1:  # it is late: the camera loses pictures
+                cell.frames.popleft()
+                number += 1
             if cell.frames:
                 due, exposed, draw = cell.frames.popleft()
                 ready.append((due, exposed, draw()))

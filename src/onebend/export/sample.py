@@ -54,6 +54,7 @@ class RodSample:
     relaxation: tuple[Relaxing, ...] = ()
     instantaneous: float = 1.0  # instantaneous stiffness over k(s), which is that of a push like the recorded one
     damping_time: float | None = None  # s, damping over stiffness; None: not known
+    damping_sd: float = 0.0  # of its log, from the swing; independent of k(s), whose level the swing's frequency gives
     sites: tuple[float, ...] = ()  # places of the tags
     push: tuple[tuple[float, float], float] | None = None  # the largest recorded force [N] and its place
     uncertain: UncertainStiffness | None = None
@@ -74,6 +75,12 @@ class RodSample:
     def loss_time(self) -> float:
         """s, damping over stiffness, with what stands for it where it is not known."""
         return DAMPING_TIME if self.damping_time is None else self.damping_time
+
+    @property
+    def damping_band(self) -> tuple[float, float]:
+        """s, the 95 % band of the damping time, which is log-normal."""
+        wide = math.exp(1.96 * self.damping_sd)
+        return self.loss_time / wide, self.loss_time * wide
 
     @property
     def relaxed(self) -> float:
@@ -183,8 +190,9 @@ def sample_of_model(
     told: tuple[tuple[str, str], ...] = (),
 ) -> RodSample:
     """The most probable beam of a model, all that the model knows of it included. Arguments as for `rod_sample`."""
+    damping_sd = 0.0
     if damping_time is None and stored.damping is not None:
-        damping_time = stored.damping.loss_time
+        damping_time, damping_sd = stored.damping.loss_time, stored.damping.loss_time_sd / stored.damping.loss_time
     rod = rod_sample(
         stored.beam,
         mass=mass,
@@ -193,6 +201,7 @@ def sample_of_model(
         section=stored.section,
         uncertain=stored.uncertain,
     )
+    rod = replace(rod, damping_sd=damping_sd)
     if stored.setup is not None and stored.uncertain is not None:
         rod = in_setup(replace(rod, setup=stored.setup), stored.setup.mean)
     made = max(stored.bench.pushes, key=lambda push: push.largest, default=None) if stored.bench else None
@@ -228,8 +237,8 @@ def in_setup(rod: RodSample, numbers: Array) -> RodSample:
 
 
 def drawn(rod: RodSample, count: int, *, seed: int) -> tuple[RodSample, ...]:
-    """Beams as probable as the data say, k(s) jointly with stretch, shear and relaxation; at every place and level the
-    quantiles of many are the band's.
+    """Beams as probable as the data say, k(s) jointly with stretch, shear, relaxation and damping; at every place and
+    level the quantiles of many are the band's.
 
     The draws of log k are normal. Where the band has another `shape`, the values at a place are moved to the quantiles
     of that shape, in the same order.
@@ -247,7 +256,13 @@ def drawn(rod: RodSample, count: int, *, seed: int) -> tuple[RodSample, ...]:
         coefficients, numbers = setup.draw(known, count, seed=seed)
         gain = known.gain_sd * np.random.default_rng([seed, 1]).standard_normal((count, 1))
         profiles = tuple(known.profile_of(one) for one in coefficients + gain)
-    beams = (replace(rod, beam=replace(rod.beam, stiffness=k), uncertain=None) for k in _shaped(profiles, known))
+    wide = np.exp(rod.damping_sd * np.random.default_rng([seed, 2]).standard_normal(count))
+    known_time = rod.damping_time is not None
+    times = np.clip(rod.loss_time * wide, *TIMES).tolist() if known_time else [None] * count
+    beams = (
+        replace(rod, beam=replace(rod.beam, stiffness=k), damping_time=time, damping_sd=0.0, uncertain=None)
+        for k, time in zip(_shaped(profiles, known), times, strict=True)
+    )
     if numbers is None:
         return tuple(beams)
     return tuple(in_setup(one, at) for one, at in zip(beams, numbers, strict=True))
@@ -343,8 +358,12 @@ def _riding_words(rod: RodSample) -> str:
     return f"{len(masses)}, together {1e3 * sum(one.mass for one in masses):.3g} g" if masses else ""
 
 
-def _damping_words(rod: RodSample) -> str:
-    return "" if rod.damping_time is None else f"vibrations die with damping over stiffness = {rod.damping_time:.3g} s"
+def damping_words(rod: RodSample) -> str:
+    """Damping over stiffness, with its band where there is one."""
+    if rod.damping_time is None:
+        return ""
+    band = "; 95 %: {:.3g} to {:.3g} s".format(*rod.damping_band) if rod.damping_sd > 0.0 else ""
+    return f"over stiffness: {rod.damping_time:.3g} s{band}"
 
 
 def _mm(metres: float, length: float) -> str:
@@ -356,7 +375,7 @@ PARTS: Mapping[str, Callable[[RodSample], str]] = {  # of a beam, beside k(s) an
     "riding masses": _riding_words,
     "stretch and shear": _stretch_words,
     "relaxation": _relaxation_words,
-    "damping": _damping_words,
+    "damping": damping_words,
 }
 
 

@@ -17,7 +17,7 @@ from matplotlib.transforms import Bbox
 
 from onebend.beam.section import modulus_band, one_modulus
 from onebend.errors import MechanicsError
-from onebend.export.sample import RodSample, axial_bands, drawn_for_bands, relaxing_bands
+from onebend.export.sample import RodSample, axial_bands, damping_words, drawn_for_bands, relaxing_bands
 from onebend.records import Array
 
 A4 = (8.27, 11.69)  # inches
@@ -85,8 +85,7 @@ def _facts(rod: RodSample) -> list[tuple[str, str]]:
         band = f"; 95 %: {_digits(low.min())} {end}" if np.isfinite(low).all() else ""
         facts += [("EA", f"{_digits(stretch.min())} to {_digits(stretch.max())} N{band}")]
         facts += [("kGA", f"{_digits(shear.min())} to {_digits(shear.max())} N")]
-    if rod.damping_time is not None:
-        facts += [("damping", f"over stiffness: {rod.damping_time:.3g} s")]
+    facts += [("damping", damping_words(rod))] if rod.damping_time is not None else []
     bands = relaxing_bands(rod, draws) or ((math.nan, math.nan),) * len(rod.relaxation)
     for part, (low_share, high_share) in zip(rod.relaxation, bands, strict=True):
         said = f"; 95 %: {100 * low_share:.2g} to {100 * high_share:.2g} %" if math.isfinite(low_share) else ""

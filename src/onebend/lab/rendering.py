@@ -58,8 +58,8 @@ def box_around(points: Array, width: int, height: int, margin: float = 2.0) -> P
     """The box with even edges around pixels (..., 2), clipped to the picture."""
     flat = points.reshape(-1, 2)
     low, high = flat.min(axis=0) - margin, flat.max(axis=0) + margin
-    left, top = (int(np.clip(2 * np.floor(v / 2), 0, side)) for v, side in zip(low, (width, height), strict=True))
-    right, bottom = (int(np.clip(2 * np.ceil(v / 2), 0, side)) for v, side in zip(high, (width, height), strict=True))
+    left, top = np.clip(2 * np.floor(low / 2), 0, (width, height)).astype(int).tolist()
+    right, bottom = np.clip(2 * np.ceil(high / 2), 0, (width, height)).astype(int).tolist()
     return PixelBox(left, top, max(right, left), max(bottom, top))
 
 

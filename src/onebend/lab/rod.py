@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.linalg import solve_banded
+from scipy.linalg.lapack import dgtsv
 
 from onebend.beam.model import Beam
 from onebend.errors import MechanicsError
@@ -188,6 +188,8 @@ class _Contact:
 
     def place(self, angle: Array) -> float:
         """s: it slides by `slide` per radian of turn at its first place, staying on the beam."""
+        if self.slide == 0.0:
+            return self.start
         turn = float(np.interp(self.start, self.middle, angle - self.rest))
         return float(np.clip(self.start + self.slide * turn, 0.0, 1.0))
 
@@ -214,30 +216,30 @@ def balanced(
 
     Moments are joint ((1 - part) u - offset); `part` and `offset` (N,) describe the relaxation.
     """
-    begin, count = angle, len(cells.size)
+    begin = angle
     arm, mixed = cells.length * cells.size, cells.stretch - cells.shear
     stiffness = (1.0 - part) * cells.joint
-    band = np.zeros((3, count + 1))
-    band[0, 1:], band[2, :-1] = stiffness, stiffness
     fixed = -np.concatenate([[cells.clamp], stiffness]) - np.concatenate([stiffness, [0.0]])
     place = contact.place(angle)
+    held = force * contact.loaded(place)[:, None] + beyond
     for _ in range(MOST_ITERATIONS):
-        held = force * contact.loaded(place)[:, None] + beyond
         cos, sin = np.cos(angle[1:]), np.sin(angle[1:])
         along, across = held[:, 0] * cos + held[:, 1] * sin, held[:, 1] * cos - held[:, 0] * sin
         moment = stiffness * (np.diff(angle) - cells.rest) - cells.joint * offset
         left = np.concatenate([[cells.clamp * (angle[0] - contact.rest[0])], moment])
         residual = np.concatenate([moment, [0.0]]) - left
         residual[1:] += arm * across * (1.0 + along * mixed)
-        band[1] = fixed
-        band[1, 1:] += arm * (-along + mixed * (across**2 - along**2))
-        change = solve_banded((1, 1), band, -residual, check_finite=False)
+        middle = fixed.copy()
+        middle[1:] += arm * (-along + mixed * (across**2 - along**2))
+        change = dgtsv(stiffness, middle, stiffness, -residual)[3]
         angle = angle + change
         before, place = place, contact.place(angle)
         if not np.all(np.abs(angle - begin) < LARGEST_TURN):
             break
         if np.max(np.abs(change)) < TOLERANCE and abs(place - before) < TOLERANCE:
             return angle, place
+        if place != before:
+            held = force * contact.loaded(place)[:, None] + beyond
     raise MechanicsError("the virtual beam snaps through under this push. Give a smaller one")
 
 

@@ -561,8 +561,8 @@ class Pump:
         """Both are open already."""
         self._sources: list[Source] = [camera, *([] if force is None else [force])]
         self._clock = clock
-        at_will = isinstance(clock, sources.PlayedClock)  # else what is played comes as from a camera, by threads
-        self._played = at_will and all(isinstance(source, sources.Played) for source in self._sources)
+        self.at_will = isinstance(clock, sources.PlayedClock)  # else what is played comes as from a camera, by threads
+        self._played = self.at_will and all(isinstance(source, sources.Played) for source in self._sources)
         self._ended: set[int] = set()
         self._pictures: queue.Queue[None] = queue.Queue(_MOST_PICTURES)
         self._items: queue.SimpleQueue[tuple[Source, Item]] = queue.SimpleQueue()

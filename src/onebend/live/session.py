@@ -6,6 +6,7 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -91,6 +92,7 @@ class Follower:
 
 TagsSeen = Callable[[Frame, float, Array], None]  # of a picture: its time in the film [s], corners (b + m, 4, 2) px
 LEAST_OFTEN = 0.15  # s: where pictures wait, one is searched for tags as often as that
+MOST_UNWRITTEN = 30  # pictures that wait for the encoder; on a played clock none does
 FIRST_LOOKS = 5  # frames of a good picture at least, before the film begins
 
 
@@ -153,6 +155,9 @@ class _Session:
             camera.timing, None if force is None else force.timing, () if force is None else force.columns
         )
         self._film: FilmWriter | None = None
+        self._encoder = ThreadPoolExecutor(1, "film")  # neither tags nor force wait for it
+        self._unwritten: deque[Future[bool]] = deque()
+        self._most_unwritten = 0 if self._pump.at_will else MOST_UNWRITTEN
         self._stages = Stages(places.rec, settings, forced=force is not None)
         self._follower = Follower(places.rec, settings)
         self._newest = np.full(2, np.nan)  # N, the force
@@ -262,7 +267,8 @@ class _Session:
         time = self._logs.frame(frame)
         if time is None:
             return
-        self._film.write(frame.picture, time, frame.colour)
+        self._unwritten.append(self._encoder.submit(self._film.write, frame.picture, time, frame.colour))
+        self._written(self._most_unwritten)
         if self._too_late():
             self._state = replace(self._state, unfollowed=self._state.unfollowed + 1)
         elif (corners := self._follower.frame(frame.picture, time)) is not None:
@@ -274,6 +280,11 @@ class _Session:
         self._state = replace(self._state, seconds=time, frames=self._film.frames)
         if time > self._settings.longest:
             self._end("ended: longest", seconds=self._settings.longest)
+
+    def _written(self, but: int = 0) -> None:
+        """Wait until all pictures but the newest are in the film. Raises `OSError` where one was not."""
+        while self._unwritten and (len(self._unwritten) > but or self._unwritten[0].done()):
+            self._unwritten.popleft().result()
 
     def _felt(self, samples: Samples) -> None:
         time = self._logs.rows(samples)
@@ -327,14 +338,16 @@ class _Session:
 
     def _close(self) -> None:
         self._follower.close()
+        self._encoder.shutdown(wait=False)
         if self._film is None:
             return
-        for close in (self._film.close, self._logs.finish):
+        for close in (self._written, self._film.close, self._logs.finish):
             try:
                 close()
             except OSError as wrong:
                 self._fault = True
                 self._why = say("recorded: not closed", why=self._why, wrong=wrong.strerror or wrong)
+        self._state = replace(self._state, frames=self._film.frames)
         if not self._fault:
             self._read_back()
 

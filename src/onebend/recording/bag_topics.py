@@ -31,10 +31,10 @@ class TopicClock:
     origin: int  # ns
 
 
-def clock_of(bag: Bag, topic: Topic, definitions: Path | None = None) -> TopicClock:
+def clock_of(bag: Bag, topic: Topic) -> TopicClock:
     """By the headers' stamps if one of the first messages has any, else by receipt."""
     received = None
-    for time, message in islice(messages(bag, topic, definitions), 100):  # messages that are searched for a stamp
+    for time, message in islice(messages(bag, topic), 100):  # messages that are searched for a stamp
         received = time if received is None else received
         if stamp := stamp_of(message):
             return TopicClock("header", stamp)
@@ -49,9 +49,9 @@ def stamp_of(message: Any) -> int:
     return 0 if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
-def timed(bag: Bag, topic: Topic, clock: TopicClock, definitions: Path | None = None) -> Iterator[tuple[float, Any]]:
+def timed(bag: Bag, topic: Topic, clock: TopicClock) -> Iterator[tuple[float, Any]]:
     """Time since the clock's origin, s, and message; NaN where a stamp is missing among others that are there."""
-    for received, message in messages(bag, topic, definitions):
+    for received, message in messages(bag, topic):
         time = received if clock.by == "receipt" else stamp_of(message)
         yield (time - clock.origin) * 1e-9 if time else float("nan"), message
 
@@ -71,7 +71,7 @@ MOSAICS = ("bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8")
 def bag_topic(entry: VideoEntry | ForceEntry) -> tuple[Bag, Topic]:
     """The bag of a film or a force log, and its topic."""
     film = isinstance(entry, VideoEntry)
-    bag = open_bag(entry.file, keep=entry.damaged == "keep")
+    bag = open_bag(entry.file)
     topic = topic_of(bag, entry.topic, "[video] topic" if film else "[force] topic")
     if film and topic.channel.type not in (RAW, PACKED):
         raise RecordingError(
@@ -84,9 +84,8 @@ def bag_topic(entry: VideoEntry | ForceEntry) -> tuple[Bag, Topic]:
 def bag_frames(video: VideoEntry) -> Iterator[tuple[float, Any]]:
     """Time since the first, s, and message of every image, in order."""
     bag, topic = bag_topic(video)
-    clock = clock_of(bag, topic, video.definitions)
     last, first = -math.inf, 0.0
-    for count, (time, message) in enumerate(timed(bag, topic, clock, video.definitions)):
+    for count, (time, message) in enumerate(timed(bag, topic, clock_of(bag, topic))):
         first = time if count == 0 else first
         if not time > last:
             what = "has no stamp" if math.isnan(time) else f"({time:.6f} s) does not come after the one before"
@@ -174,7 +173,7 @@ def bag_camera(video: VideoEntry, name: str) -> CameraInfo:
     place = f"[camera] camera_info: {ascii_only(topic.channel.topic)} of {video.file}"
     if topic.channel.type != INFO:
         raise RecordingError(f"{place} is {ascii_only(topic.channel.type)}, no calibration. Name one of type {INFO}.")
-    every = (info_of(message, topic, place) for _, message in messages(bag, topic, video.definitions))
+    every = (info_of(message, topic, place) for _, message in messages(bag, topic))
     first = next(every)
     for count, info in enumerate(every, start=1):
         if not all(map(np.array_equal, vars(first).values(), vars(info).values())):
@@ -230,11 +229,11 @@ def read_bag_force(entry: ForceEntry) -> ForceLog:
     """The force along `entry.axes` of every message, on the headers' clock; its zero is the first message."""
     bag, topic = bag_topic(entry)
     field = entry.field or default_field(topic, entry)
-    clock = clock_of(bag, topic, entry.definitions)
+    clock = clock_of(bag, topic)
     rows: list[tuple[float, float, float]] = []
     frames: dict[str, None] = {}
     picks = [(AXES[axis[-1]], -1.0 if axis.startswith("-") else 1.0) for axis in entry.axes]
-    for time, message in timed(bag, topic, clock, entry.definitions):
+    for time, message in timed(bag, topic, clock):
         force, frame = force_of(message, field, f"{entry.file}: {topic.channel.topic}")
         frames[frame] = None
         (first, sign), (second, other) = picks
@@ -348,31 +347,20 @@ class BagContents:
     fault: str  # where the bag breaks off, "" where it does not
 
 
-def bag_contents(path: Path | str, definitions: Path | None = None) -> BagContents:
+def bag_contents(path: Path | str) -> BagContents:
     """Every topic with its type, count, rate and span; a damaged bag up to the damage.
 
     Raises `RecordingError` where nothing can be read.
     """
-    path = Path(path)
-
-    def rows_of(bag: Bag) -> tuple[TopicRow, ...]:
-        return tuple(row_of(bag, topic, definitions) for _, topic in sorted(bag.topics.items()))
-
-    try:
-        bag = open_bag(path)
-        rows = rows_of(bag)
-    except RecordingError:
-        bag = open_bag(path, keep=True)
-        if not bag.fault or not bag.count:
-            raise
-        rows = rows_of(bag)
-    return BagContents(path, rows, guess(bag, "force"), guess(bag, "image"), bag.fault)
+    bag = open_bag(Path(path))
+    rows = tuple(row_of(bag, topic) for _, topic in sorted(bag.topics.items()))
+    return BagContents(bag.path, rows, guess(bag, "force"), guess(bag, "image"), bag.fault)
 
 
-def row_of(bag: Bag, topic: Topic, definitions: Path | None) -> TopicRow:
+def row_of(bag: Bag, topic: Topic) -> TopicRow:
     """The topic's times, by its headers where they have stamps and their type is known."""
     try:
-        decode = decoder(bag.path, topic.channel, definitions)
+        decode = decoder(bag.path, topic.channel)
     except RecordingError:
         decode = None
     received, stamps = [], []
@@ -405,7 +393,7 @@ def guess(bag: Bag, what: Literal["force", "image"]) -> str:
 
 HEADERS_DOUBT = 0.1  # s: exposure, transfer and filters between an event and the stamp of its message
 RECEIPT_DOUBT = 0.3  # s: queues besides
-BAG_KEYS = ("topic", "field", "axes", "definitions", "damaged")  # only for bags
+BAG_KEYS = ("topic", "field", "axes")  # only for bags
 TEXT_KEYS = ("columns", "time_unit", "frame_times")  # not for bags
 
 
@@ -421,7 +409,7 @@ def check_bag(name: str, entry: VideoEntry | ForceEntry, written: Mapping[str, A
     if not bag:
         return
     try:
-        contents = open_bag(entry.file, keep=entry.damaged == "keep")
+        contents = open_bag(entry.file)
         if not entry.topic:
             mistakes.add((name, "file"), f"[{name}] lacks topic: {asked(contents, name)}")
         else:
@@ -454,7 +442,7 @@ def with_bags(rec: Recording, written: Mapping[str, Any]) -> Recording:
     one_bag = video is not None and force is not None and video.file.resolve() == force.file.resolve()
     if video is None or force is None or not one_bag or "start_s" in written["video"]:
         return replace(rec, remarks=tuple(remarks))
-    film_clock, force_clock = (clock_of(*bag_topic(entry), entry.definitions) for entry in (video, force))
+    film_clock, force_clock = (clock_of(*bag_topic(entry)) for entry in (video, force))
     start = (film_clock.origin - force_clock.origin) * 1e-9
     stamped = film_clock.by == force_clock.by == "header"
     doubt = float(written["video"].get("start_uncertainty_s", HEADERS_DOUBT if stamped else RECEIPT_DOUBT))
@@ -471,13 +459,10 @@ def bag_remarks(name: str, entry: VideoEntry | ForceEntry) -> list[Remark]:
     remarks = []
     if bag.fault:
         text = f"[{name}] {entry.file.name} is damaged ({bag.fault}): {topic.count} messages of {topic.channel.topic}"
-        text += " are used, those before that. Check that the push is in them."
+        text += " before that are used. Check that the push is in them."
         remarks.append(Remark("warning", text, about="damaged bag"))
-    elif bag.scanned and entry.damaged == "refuse":
-        text = f"[{name}] {entry.file.name} has no index (its recorder was not closed): read from front to back."
-        remarks.append(Remark("note", text))
     if isinstance(entry, VideoEntry):
-        remarks += stamp_remarks(topic, clock_of(bag, topic, entry.definitions))
+        remarks += stamp_remarks(topic, clock_of(bag, topic))
     return remarks
 
 

@@ -2,43 +2,39 @@
 
 from __future__ import annotations
 
+import bz2
 import difflib
 import keyword
 import re
+import sqlite3
+import struct
+import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import import_module
+from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, BinaryIO
+from zlib import crc32
 
 from onebend.errors import RecordingError
 from onebend.extras import require
-from onebend.text_files import MOST_ROWS, NAMES, QUOTED, ascii_only, quoted, read_text
+from onebend.text_files import MOST_ROWS, NAMES, QUOTED, ascii_only, quoted
 
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import Typesdict
     from rosbags.typesys.store import Typestore
-
-
-import bz2
-import sqlite3
-import struct
-import sys
-from contextlib import closing, contextmanager
-from importlib import import_module
-from io import BytesIO
-from os import truncate
-from shutil import copyfile
-from tempfile import TemporaryDirectory
-from typing import BinaryIO
-from zlib import crc32
 
 MOST_CHUNK = 2**28  # bytes that one chunk or message may unpack to
 MOST_READ, MOST_GAIN = 2**28, 200  # of one file: bytes whatever its size, and times that size
 STEP = 2**20  # bytes unpacked at a time
 
 
-class BrokenOffError(Exception):
+class BrokenOffError(ValueError):
     """The file cannot be read beyond a place; the text says which and why."""
 
 
@@ -73,60 +69,67 @@ class Unpacker:
         if self.left < 0:
             raise BrokenOffError("it unpacks to far more than a film or a log comes to")
 
-    def unpack(self, packed: bytes, kind: str, size: int = 0) -> bytes:
-        """The bytes of a chunk that is packed as `kind` and says that it has `size` bytes (0: it does not say)."""
-        most = min(size, MOST_CHUNK) if size else MOST_CHUNK
-        try:
-            return b"".join(self._parts(packed, kind, most))
-        except BrokenOffError:
-            raise
-        except Exception as wrong:  # zstd, lz4 and bz2 each have an error of their own, or a RuntimeError
-            raise BrokenOffError(f"it cannot be unpacked ({wrong})") from None
-
-    def _parts(self, packed: bytes, kind: str, most: int) -> Iterator[bytes]:
+    def unpack(self, packed: bytes, kind: str, size: int = MOST_CHUNK) -> bytes:
+        """The bytes of a chunk that is packed as `kind` and says that it has `size` bytes."""
         if kind in ("", "none"):
             self.take(len(packed))
-            yield packed
-            return
-        size, one = 0, _decompressor(kind)
-        while True:
-            part = one.decompress(packed, STEP)
-            packed = b""
-            size += len(part)
-            self.take(len(part))
-            if size > most:
-                raise BrokenOffError(f"it unpacks to more than the {most} bytes that it may")
-            yield part
-            if one.eof and one.unused_data:  # several frames, one after the other
-                packed, one = one.unused_data, _decompressor(kind)
-            elif one.eof:
-                return
-            elif not part:
-                raise BrokenOffError("it is cut off")
+            return packed
+        if kind not in ("zstd", "lz4", "bz2"):
+            raise BrokenOffError(f"it is packed as {kind!r}, which is not known")
+        module: Any = zstd() if kind == "zstd" else import_module("lz4.frame") if kind == "lz4" else bz2
+        most = min(size, MOST_CHUNK, self.left)
+        try:
+            with module.open(BytesIO(packed)) as stream:
+                content: bytes = stream.read(most + 1)
+        except Exception as wrong:  # zstd, lz4 and bz2 each have an error of their own, or an EOFError
+            raise BrokenOffError(f"it cannot be unpacked ({wrong})") from None
+        self.take(len(content))
+        if len(content) > most:
+            raise BrokenOffError(f"it unpacks to more than the {most} bytes that it may")
+        return content
 
 
-def _decompressor(kind: str) -> Any:
-    if kind == "zstd":
-        return zstd().ZstdDecompressor()
-    if kind == "lz4":
-        return import_module("lz4.frame").LZ4FrameDecompressor()
-    if kind == "bz2":
-        return bz2.BZ2Decompressor()
-    raise BrokenOffError(f"it is packed as {kind!r}, which is not known")
+class Fields:
+    """Numbers and texts of a file or a record, one after the other."""
+
+    def __init__(self, stream: BinaryIO, size: int) -> None:
+        self.stream, self.size = stream, size
+
+    @classmethod
+    def of(cls, content: bytes) -> Fields:
+        return cls(BytesIO(content), len(content))
+
+    @property
+    def place(self) -> int:
+        return self.stream.tell()
+
+    def take(self, count: int) -> bytes:
+        if self.place + count > self.size:
+            raise BrokenOffError("it is cut off")
+        return self.stream.read(count)
+
+    def number(self, layout: str) -> int:
+        return int(struct.unpack(layout, self.take(struct.calcsize(layout)))[0])
+
+    def text(self) -> str:
+        return self.take(self.number("<I")).decode()
+
+
+@contextmanager
+def damage_at(place: int) -> Iterator[None]:
+    """Whatever is wrong with the record at `place` becomes a `BrokenOffError` that says where."""
+    try:
+        yield
+    except (struct.error, KeyError, ValueError) as wrong:
+        raise BrokenOffError(f"the record at byte {place} is damaged ({wrong})") from None
 
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
+SQLITE_MAGIC = b"SQLite format 3\0"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # no message begins so: CDR begins with a zero
-FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, STATISTICS, DATA_END = 2, 3, 4, 5, 6, 11, 15  # records of MCAP
-MCAP_FOOTER = struct.pack("<BQ", FOOTER, 20)  # how the last record begins
-ROS1_MESSAGE, ROS1_HEADER, ROS1_CHUNK, ROS1_CHUNK_INFO, ROS1_CONNECTION = 2, 3, 5, 6, 7
-
-
-def is_packed(path: Path) -> bool:
-    """Whether the file is packed as a whole."""
-    with path.open("rb") as stream:
-        return stream.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
+SCHEMA, CHANNEL, MESSAGE, CHUNK, DATA_END = 3, 4, 5, 6, 15  # records of MCAP
+ROS1_MESSAGE, ROS1_CHUNK, ROS1_CHUNK_INFO, ROS1_CONNECTION = 2, 5, 6, 7
 
 
 def scan(path: Path, topic: str = "", unpacker: Unpacker | None = None) -> Iterator[Item]:
@@ -134,20 +137,21 @@ def scan(path: Path, topic: str = "", unpacker: Unpacker | None = None) -> Itera
     try:
         unpacker = unpacker or Unpacker(path)
         with path.open("rb") as stream:
-            magic = stream.read(len(SQLITE_MAGIC))
-            size = path.stat().st_size
+            magic, size, ended = stream.read(len(SQLITE_MAGIC)), path.stat().st_size, True
             if magic.startswith(ZSTD_MAGIC):
                 yield from scan_packed(path, topic, unpacker)
             elif magic.startswith(MCAP_MAGIC):
                 stream.seek(len(MCAP_MAGIC))
-                yield from unpacked(scan_mcap(stream, size, unpacker), unpacker)
+                ended = yield from mcap_items(Fields(stream, size), {}, {}, unpacker)
             elif magic.startswith(ROS1_MAGIC):
                 stream.seek(len(ROS1_MAGIC))
-                yield from scan_ros1(stream, size, unpacker)
+                ended = yield from ros1_items(Fields(stream, size), {}, unpacker)
             elif magic == SQLITE_MAGIC:
-                yield from unpacked(scan_sqlite(path, topic), unpacker)
+                yield from sqlite_items(path, topic, unpacker)
             else:
                 raise BrokenOffError("it begins like no MCAP file, ROS 1 bag or sqlite3 file (is it a bag at all?)")
+            if not ended:
+                raise BrokenOffError(f"it ends at byte {size} without its end mark")
     except OSError as wrong:
         raise BrokenOffError(wrong.strerror or str(wrong)) from None
 
@@ -166,142 +170,51 @@ def scan_packed(path: Path, topic: str, unpacker: Unpacker) -> Iterator[Item]:
         yield from scan(file, topic, unpacker)
 
 
-def unpacked(items: Iterator[Item], unpacker: Unpacker) -> Iterator[Item]:
-    """The items with their messages unpacked, where a recorder packs each for itself."""
-    for item in items:
-        if isinstance(item, Channel) or not item[2].startswith(ZSTD_MAGIC):
-            yield item
-        else:
-            yield item[0], item[1], unpacker.unpack(item[2], "zstd")
+def mcap_items(
+    content: Fields, schemas: dict[int, tuple[str, str, str]], channels: dict[int, Channel], unpacker: Unpacker
+) -> Generator[Item, None, bool]:
+    """Topics and messages of an MCAP file, or of a chunk in it; returns whether the end of data was seen.
+
+    `schemas` (name, encoding, definition) and `channels` are those declared so far.
+    """
+    while content.place < content.size:
+        with damage_at(content.place):
+            code, record = content.number("<B"), Fields.of(content.take(content.number("<Q")))
+            if code == DATA_END:
+                return True
+            if code == CHUNK:
+                chunk = Fields.of(mcap_chunk(record, unpacker))
+                yield from mcap_items(chunk, schemas, channels, unpacker)
+            elif code == SCHEMA:
+                key = record.number("<H")
+                schemas[key] = (record.text(), record.text(), record.text())
+            elif code == CHANNEL:
+                key, (name, kind, text) = record.number("<H"), schemas.get(record.number("<H"), ("", "", ""))
+                channel = Channel(record.text(), message_type(name), record.text(), text, idl=kind.endswith("idl"))
+                channels[key] = channel
+                yield channel
+            elif code == MESSAGE:
+                key, _, received, _ = struct.unpack("<HIQQ", record.take(22))
+                if key in channels:
+                    yield channels[key], received, own(record.stream.read(), unpacker)
+    return False
 
 
-def topics_by_index(path: Path) -> list[tuple[Channel, int]] | None:
-    """Topics and numbers of their messages by the file's own index; None where it has none, or a wrong one."""
-    try:
-        with path.open("rb") as stream:
-            magic = stream.read(len(SQLITE_MAGIC))
-            if magic.startswith(MCAP_MAGIC):
-                return mcap_topics(stream, path.stat().st_size)
-            if magic.startswith(ROS1_MAGIC):
-                stream.seek(len(ROS1_MAGIC))
-                return ros1_topics(stream, path.stat().st_size)
-        if magic != SQLITE_MAGIC or lacking(path):
-            return None
-        with open_database(path) as base:
-            counts = dict(base.execute("SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id"))
-            return [(channel, counts.get(key, 0)) for key, channel in sqlite_channels(base).items()]
-    except (BrokenOffError, struct.error, sqlite3.Error, ValueError, KeyError, OSError):
-        return None
-
-
-def mcap_topics(stream: BinaryIO, size: int) -> list[tuple[Channel, int]] | None:
-    """As `topics_by_index`, by the summary at the file's end."""
-    stream.seek(max(size - 37, 0))
-    footer = stream.read()
-    begin = struct.unpack_from("<Q", footer, 9)[0]
-    if not begin or not footer.startswith(MCAP_FOOTER) or not footer.endswith(MCAP_MAGIC):
-        return None
-    stream.seek(begin)
-    declared, counts = McapTables({}, {}), None
-    for _, code, body in mcap_records(stream, size):
-        if code == FOOTER:
-            break
-        if code == STATISTICS:
-            counts = dict(struct.iter_unpack("<HQ", body[46 : 46 + struct.unpack_from("<I", body, 42)[0]]))
-        for _ in mcap_item(code, body, declared):
-            pass
-    if counts is None or not set(counts) <= set(declared.channels):
-        return None
-    return [(channel, counts.get(key, 0)) for key, channel in declared.channels.items()]
-
-
-def ros1_topics(stream: BinaryIO, size: int) -> list[tuple[Channel, int]] | None:
-    """As `topics_by_index`, by the records behind the last chunk."""
-    _, header, _ = next(ros1_records(stream, size), (0, {}, b""))
-    begin = struct.unpack("<Q", header["index_pos"])[0]
-    if not 0 < begin < size:
-        return None
-    stream.seek(begin)
-    channels: dict[int, Channel] = {}
-    counts: dict[int, int] = {}
-    for _, fields, body in ros1_records(stream, size):
-        for _ in ros1_item(fields, body, channels):
-            pass
-        if fields["op"][0] == ROS1_CHUNK_INFO:
-            for key, count in struct.iter_unpack("<II", body):
-                counts[key] = counts.get(key, 0) + count
-    return [(channels[key], counts.get(key, 0)) for key in {**channels, **counts}]
-
-
-def scan_mcap(stream: BinaryIO, size: int, unpacker: Unpacker) -> Iterator[Item]:
-    """The records up to the end of data; chunks are unpacked."""
-    declared = McapTables({}, {})
-    for place, code, body in mcap_records(stream, size):
-        if code == DATA_END:
-            return
-        try:
-            if code != CHUNK:
-                yield from mcap_item(code, body, declared)
-                continue
-            for _, inner, content in mcap_records(BytesIO(unpack_chunk(body, unpacker)), None):
-                yield from mcap_item(inner, content, declared)
-        except (struct.error, ValueError, UnicodeDecodeError) as wrong:
-            raise BrokenOffError(f"the record at byte {place} is damaged ({wrong})") from None
-        except BrokenOffError as wrong:
-            raise BrokenOffError(f"the chunk at byte {place} is damaged: {wrong}") from None
-    raise BrokenOffError(f"it ends at byte {size} without its end mark")
-
-
-@dataclass(frozen=True)
-class McapTables:
-    """The schemas and channels that an MCAP file has declared so far."""
-
-    schemas: dict[int, tuple[str, str, str]]  # name, encoding, definition
-    channels: dict[int, Channel]
-
-
-def mcap_item(code: int, body: bytes, declared: McapTables) -> Iterator[Item]:
-    """The topic or message of one record, if it holds one; declarations are added to `declared`."""
-    if code == SCHEMA:
-        reader = Fields(body)
-        key = reader.number("<H")
-        declared.schemas[key] = (reader.text(), reader.text(), reader.text())
-    elif code == CHANNEL:
-        reader = Fields(body)
-        key, schema = reader.number("<H"), reader.number("<H")
-        name, kind, text = declared.schemas.get(schema, ("", "", ""))
-        channel = Channel(reader.text(), message_type(name), reader.text(), text, idl=kind.endswith("idl"))
-        declared.channels[key] = channel
-        yield channel
-    elif code == MESSAGE:
-        key, _, received, _ = struct.unpack_from("<HIQQ", body)
-        if key in declared.channels:
-            yield declared.channels[key], received, body[22:]
-
-
-def mcap_records(stream: BinaryIO, size: int | None) -> Iterator[tuple[int, int, bytes]]:
-    """Place, code and content of every record; `size` is the file's, None within a chunk."""
-    while head := stream.read(9):
-        place = stream.tell() - len(head)
-        length = struct.unpack("<Q", head[1:])[0] if len(head) == 9 else 0
-        fits = size is None or length <= size - stream.tell()
-        body = stream.read(length) if fits else b""
-        if len(head) < 9 or len(body) < length:
-            raise BrokenOffError(f"the record at byte {place} is cut off")
-        yield place, head[0], body
-
-
-def unpack_chunk(chunk: bytes, unpacker: Unpacker) -> bytes:
+def mcap_chunk(record: Fields, unpacker: Unpacker) -> bytes:
     """The records inside a chunk of an MCAP file; its size and its CRC-32 (0: none) must hold."""
-    reader = Fields(chunk[16:])
-    size, checksum = reader.number("<Q"), reader.number("<I")
-    compression = reader.text()
-    content = unpacker.unpack(reader.take(reader.number("<Q")), compression, size)
+    record.take(16)
+    size, checksum = record.number("<Q"), record.number("<I")
+    content = unpacker.unpack(kind=record.text(), packed=record.take(record.number("<Q")), size=size)
     if len(content) != size:
         raise BrokenOffError(f"it holds {len(content)} bytes and says that it has {size}")
     if checksum and crc32(content) != checksum:
         raise BrokenOffError("its checksum does not hold")
     return content
+
+
+def own(message: bytes, unpacker: Unpacker) -> bytes:
+    """The message, unpacked where the recorder packs each for itself."""
+    return unpacker.unpack(message, "zstd") if message.startswith(ZSTD_MAGIC) else message
 
 
 def message_type(name: str) -> str:
@@ -310,128 +223,63 @@ def message_type(name: str) -> str:
     return name if package.rpartition("/")[2] == "msg" else f"{package}/msg/{last}"
 
 
-class Fields:
-    """Numbers and texts of a record, one after the other."""
-
-    def __init__(self, body: bytes) -> None:
-        self.body, self.position = body, 0
-
-    def take(self, count: int) -> bytes:
-        if self.position + count > len(self.body):
-            raise ValueError("a field is longer than its record")
-        self.position += count
-        return self.body[self.position - count : self.position]
-
-    def number(self, layout: str) -> int:
-        return int(struct.unpack(layout, self.take(struct.calcsize(layout)))[0])
-
-    def text(self) -> str:
-        return self.take(self.number("<I")).decode()
-
-
-def scan_ros1(stream: BinaryIO, size: int, unpacker: Unpacker) -> Iterator[Item]:
-    """The records up to the index; chunks are unpacked."""
-    channels: dict[int, Channel] = {}
-    index = 0
-    for place, header, body in ros1_records(stream, size):
-        code = header.get("op", b"\0")[0]
-        try:
-            if code == ROS1_HEADER:
-                index = struct.unpack("<Q", header["index_pos"])[0]
-            elif code == ROS1_CHUNK_INFO:
-                return
-            elif code == ROS1_CHUNK:
-                kind = header["compression"].decode()
-                for _, inner, content in ros1_records(BytesIO(unpacker.unpack(body, kind)), None):
-                    yield from ros1_item(inner, content, channels)
-            else:
-                yield from ros1_item(header, body, channels)
-        except (struct.error, KeyError, ValueError, UnicodeDecodeError) as wrong:
-            raise BrokenOffError(f"the record at byte {place} is damaged ({wrong})") from None
-        except BrokenOffError as wrong:
-            raise BrokenOffError(f"the chunk at byte {place} is damaged: {wrong}") from None
-    if index > size:
-        raise BrokenOffError(f"it ends at byte {size}, before its index at byte {index}")
-
-
-def ros1_item(header: dict[str, bytes], body: bytes, channels: dict[int, Channel]) -> Iterator[Item]:
-    """The topic or message of one record of a ROS 1 bag, if it holds one."""
-    code = header.get("op", b"\0")[0]
-    if code == ROS1_CONNECTION:
-        key = struct.unpack("<I", header["conn"])[0]
-        connection = ros1_fields(body)
-        kind, text = message_type(connection["type"].decode()), connection["message_definition"].decode()
-        channels[key] = Channel(header["topic"].decode(), kind, "ros1", text, idl=False)
-        yield channels[key]
-    elif code == ROS1_MESSAGE:
-        seconds, rest = struct.unpack("<II", header["time"])
-        channel = channels.get(struct.unpack("<I", header["conn"])[0])
-        if channel is not None:
-            yield channel, seconds * 10**9 + rest, body
-
-
-def ros1_records(stream: BinaryIO, size: int | None) -> Iterator[tuple[int, dict[str, bytes], bytes]]:
-    """Place, header fields and content of every record; `size` is the file's, None within a chunk."""
-    while first := stream.read(4):
-        place = stream.tell() - len(first)
-        parts = []
-        for part in range(2):
-            count = first if part == 0 else stream.read(4)
-            length = struct.unpack("<I", count)[0] if len(count) == 4 else 0
-            fits = size is None or length <= size - stream.tell()
-            parts.append(stream.read(length) if fits else b"")
-            if len(count) < 4 or len(parts[-1]) < length:
-                raise BrokenOffError(f"the record at byte {place} is cut off")
-        try:
-            yield place, ros1_fields(parts[0]), parts[1]
-        except (struct.error, ValueError) as wrong:
-            raise BrokenOffError(f"the record at byte {place} is damaged ({wrong})") from None
+def ros1_items(content: Fields, channels: dict[int, Channel], unpacker: Unpacker) -> Generator[Item, None, bool]:
+    """As `mcap_items`, of a ROS 1 bag, whose data end where its index begins."""
+    while content.place < content.size:
+        with damage_at(content.place):
+            header = ros1_fields(content.take(content.number("<I")))
+            body, code = content.take(content.number("<I")), header["op"][0]
+            if code == ROS1_CHUNK_INFO:
+                return True
+            if code == ROS1_CHUNK:
+                chunk = unpacker.unpack(body, header["compression"].decode())
+                yield from ros1_items(Fields.of(chunk), channels, unpacker)
+            elif code == ROS1_CONNECTION:
+                about = ros1_fields(body)
+                kind, text = message_type(about["type"].decode()), about["message_definition"].decode()
+                channel = Channel(header["topic"].decode(), kind, "ros1", text, idl=False)
+                channels[struct.unpack("<I", header["conn"])[0]] = channel
+                yield channel
+            elif code == ROS1_MESSAGE:
+                (key,), (seconds, rest) = struct.unpack("<I", header["conn"]), struct.unpack("<II", header["time"])
+                if key in channels:
+                    yield channels[key], seconds * 10**9 + rest, body
+    return False
 
 
 def ros1_fields(body: bytes) -> dict[str, bytes]:
     """`name=value` fields of a ROS 1 header."""
-    fields, start = {}, 0
-    while start < len(body):
-        end = start + 4 + struct.unpack_from("<I", body, start)[0]
-        if end > len(body):
-            raise ValueError("a field is longer than its header")
-        name, _, value = body[start + 4 : end].partition(b"=")
+    fields, record = {}, Fields.of(body)
+    while record.place < record.size:
+        name, _, value = record.take(record.number("<I")).partition(b"=")
         fields[name.decode()] = value
-        start = end
     return fields
 
 
 PLAIN_TABLE = re.compile(r"\s*CREATE\s+TABLE\b", re.IGNORECASE)
 COLUMNS = "SELECT * FROM pragma_table_xinfo(?)"
 COMPUTED = {2, 3}  # what the last of these columns says of one that is computed
-SQLITE_MAGIC = b"SQLite format 3\0"
 
 
-def scan_sqlite(path: Path, topic: str = "") -> Iterator[Item]:
-    """Topics, then messages (with `topic` those of that one alone), up to the first page that is cut."""
+def sqlite_items(path: Path, topic: str, unpacker: Unpacker) -> Iterator[Item]:
+    """Topics, then messages (with `topic` those of that one alone)."""
     try:
-        with whole_pages(path) as file, open_database(file) as base:
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?immutable=1", uri=True)) as base:  # not written to
             refuse_programs(base)
-            base.execute("PRAGMA writable_schema=ON")  # else a file shorter than it says is refused as a whole
+            (page,) = base.execute("PRAGMA page_size").fetchone()
+            if path.stat().st_size % page:  # sqlite refuses a file that lacks whole pages, and takes half of one for it
+                raise BrokenOffError("it is cut off")
             channels = sqlite_channels(base)
             yield from channels.values()
-            wanted = [key for key, channel in channels.items() if channel.topic == topic]
-            where = f"WHERE topic_id IN ({', '.join('?' * len(wanted))})" if topic else ""
-            query = f"SELECT topic_id, timestamp, data FROM messages {where} ORDER BY rowid"
-            for key, received, data in base.execute(query, wanted if topic else ()):
-                if key in channels:
-                    if not isinstance(received, int) or not isinstance(data, bytes):
-                        raise BrokenOffError("a row of its messages has no time, or no bytes")
-                    yield channels[key], received, data
+            wanted = [key for key, channel in channels.items() if topic in ("", channel.topic)]
+            marks = ", ".join("?" * len(wanted))
+            query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) ORDER BY rowid"
+            for key, received, data in base.execute(query, wanted):
+                if not isinstance(received, int) or not isinstance(data, bytes):
+                    raise BrokenOffError("a row of its messages has no time, or no bytes")
+                yield channels[key], received, own(data, unpacker)
     except sqlite3.Error as wrong:
-        raise BrokenOffError(lacking(path) or str(wrong)) from None
-    if lack := lacking(path):
-        raise BrokenOffError(lack)
-
-
-def open_database(path: Path) -> closing[sqlite3.Connection]:
-    """The database, which is not written to."""
-    return closing(sqlite3.connect(f"{path.resolve().as_uri()}?immutable=1", uri=True))
+        raise BrokenOffError(str(wrong)) from None
 
 
 def sqlite_channels(base: sqlite3.Connection) -> dict[int, Channel]:
@@ -455,49 +303,6 @@ def refuse_programs(base: sqlite3.Connection) -> None:
         plain = kind == "index" or (kind == "table" and PLAIN_TABLE.match(text or ""))
         if not plain or (kind == "table" and COMPUTED & {row[6] for row in base.execute(COLUMNS, (name,))}):
             raise BrokenOffError(f"its {kind} {str(name)[:60]!r} is no table of a recorder")
-
-
-def check_database(path: Path) -> None:
-    """Raise `BrokenOffError` where the file is a database that computes its messages, or cannot be read as one."""
-    with path.open("rb") as stream:
-        if stream.read(len(SQLITE_MAGIC)) != SQLITE_MAGIC:
-            return
-    try:
-        with open_database(path) as base:
-            refuse_programs(base)
-    except sqlite3.Error:
-        return  # its reader says so
-
-
-@contextmanager
-def whole_pages(path: Path) -> Iterator[Path]:
-    """The database, or a copy without its last page where that is cut: its reader would take what lacks for zeros."""
-    size, page = path.stat().st_size, sqlite_pages(path)[0]
-    if page == 0 or size % page == 0:
-        yield path
-        return
-    with TemporaryDirectory() as folder:
-        copy = Path(folder) / path.name
-        copyfile(path, copy)
-        truncate(copy, size - size % page)
-        yield copy
-
-
-def lacking(path: Path) -> str:
-    """In words, how much of its stated length a database lacks; "" for a whole one, or for another file."""
-    (page, pages), size = sqlite_pages(path), path.stat().st_size
-    return f"it ends at byte {size} and says that it has {page * pages}" if size < page * pages else ""
-
-
-def sqlite_pages(path: Path) -> tuple[int, int]:
-    """Bytes of a page and number of pages as a database's head says them; 0 where it does not, or for another file."""
-    with path.open("rb") as stream:
-        head = stream.read(100)
-    if not head.startswith(SQLITE_MAGIC) or len(head) < 100:
-        return 0, 0
-    page, pages = struct.unpack(">H", head[16:18])[0], struct.unpack(">I", head[28:32])[0]
-    known = head[24:28] == head[92:96]  # else an old writer did not keep the number of pages
-    return 65536 if page == 1 else page, pages if known else 0
 
 
 # A bag brings the definitions of its own messages, and what decodes them is code made from these. So names must be
@@ -583,15 +388,15 @@ def _field_size(field: Any, types: Typesdict, sizes: dict[str, int], outer: tupl
 IDL_PART = "=" * 80 + "\n"
 
 
-def decoder(path: Path, channel: Channel, definitions: Path | None) -> Callable[[bytes], Any]:
-    """What turns messages' bytes into objects; `definitions`: a folder with .msg files, for a bag without them."""
+def decoder(path: Path, channel: Channel) -> Callable[[bytes], Any]:
+    """What turns messages' bytes into objects."""
     if channel.encoding not in ("cdr", "ros1"):
         raise RecordingError(
             f"{path}: {ascii_only(channel.topic)} is packed as {channel.encoding!r}; cdr and ros1 can be read."
         )
     try:
         check_type_name(channel.type)
-        store = types_of(channel, definitions)
+        store = types_of(channel)
         store.get_msgdef(channel.type)
     except HostileTypeError as wrong:
         raise RecordingError(
@@ -600,17 +405,16 @@ def decoder(path: Path, channel: Channel, definitions: Path | None) -> Callable[
     except Exception as wrong:  # the parser's own, or what a definition that makes no sense leads to
         raise RecordingError(
             f"{path}: the type {channel.type} of {ascii_only(channel.topic)} is not known "
-            f"({quoted(str(wrong), 200)}). The bag does not say what it "
-            "holds: put its .msg files (and those that they name) into a folder as PACKAGE/msg/NAME.msg and write "
-            'definitions = "FOLDER" beside topic.'
+            f"({quoted(str(wrong), 200)}). The bag does not say what it holds. Convert it to MCAP where ROS knows the "
+            "type: `ros2 bag convert`."
         ) from None
     if channel.encoding == "cdr":
         return lambda data: store.deserialize_cdr(data, channel.type)
     return lambda data: store.deserialize_ros1(data, channel.type)
 
 
-def types_of(channel: Channel, definitions: Path | None) -> Typestore:
-    """The types that the channel needs: its own definition first, else the standard ones and those of the folder."""
+def types_of(channel: Channel) -> Typestore:
+    """The types that the channel needs: its own definition, else the standard ones."""
     require(("rosbags",), "ros")
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
@@ -627,12 +431,6 @@ def types_of(channel: Channel, definitions: Path | None) -> Typestore:
                 types.update(get_types_from_idl(text))
     else:
         store = get_typestore(Stores.ROS1_NOETIC if channel.encoding == "ros1" else Stores.LATEST)
-        for file in sorted(definitions.rglob("*.msg")) if definitions is not None else []:
-            package = file.parent.parent.name if file.parent.name == "msg" else file.parent.name
-            text = read_text(file, RecordingError)
-            check_text(text)
-            types.update(get_types_from_msg(text, f"{package}/msg/{file.stem}"))
-        types = {name: fields for name, fields in types.items() if name not in store.fielddefs}
     check_types(types, store.fielddefs)
     store.max_sequence_length = MOST_NUMBERS
     store.register({name: ([], fields) for name, (_, fields) in types.items()})  # constants are not in messages
@@ -656,9 +454,8 @@ class Bag:
 
     path: Path
     parts: tuple[Path, ...]  # its files in order
-    scanned: bool  # whether it is read without its index
     topics: dict[str, Topic]
-    fault: str = ""  # where it breaks off; empty: it does not
+    fault: str  # where it breaks off; empty: it does not
 
     @property
     def count(self) -> int:
@@ -680,59 +477,43 @@ def files_of(path: Path) -> tuple[Path, ...]:
     return tuple(sorted(files, key=lambda file: natural(file.name)))
 
 
-def natural(name: str) -> list[tuple[int, str]]:
+def natural(name: str) -> list[str | int]:
     """A key that sorts run_2 before run_10."""
-    words: list[tuple[int, str]] = []
-    for letter in name:
-        if letter.isdecimal() and words and words[-1][1] == "":
-            words[-1] = (10 * words[-1][0] + int(letter), "")
-        else:
-            words.append((int(letter), "") if letter.isdecimal() else (0, letter))
-    return words
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", name)]
 
 
-def open_bag(path: Path, *, keep: bool = False) -> Bag:
+def open_bag(path: Path) -> Bag:
     """Topics and counts of the bag at `path`: a file, or a folder with or without its metadata.
 
-    A bag that was not closed is read without its index. With `keep` one that is damaged is read up to the damage.
+    It is read from front to back, without its index, and one that is damaged up to the damage.
 
     Raises:
         MissingPackageError: rosbags is not installed.
-        RecordingError: there is none, or it is damaged and `keep` is false; with the place.
+        RecordingError: there is none, or no message can be read.
     """
     files = files_of(path) if path.exists() else ()
     if not files:
         raise RecordingError(f"{path} is no bag. Give a .mcap, .db3 or .bag file, or the folder that holds one.")
     require(("rosbags",), "ros")
     for file in files:
-        refuse_journal(file)
-        try:
-            check_database(file)
-        except (BrokenOffError, OSError) as wrong:
-            raise RecordingError(f"{file} cannot be read: {wrong}. Record the bag again, or copy it anew.") from None
-    indexed = [None if keep else topics_by_index(file) for file in files]
-    if None not in indexed:
-        return Bag(path, files, scanned=False, topics=together(part for part in indexed if part is not None))
-    bag = scan_bag(path, files)
-    if bag.fault and (not keep or not bag.count):
-        raise damaged(bag, bag.fault)
-    if not bag.topics and not keep:
-        raise RecordingError(f"{path} cannot be read: it is not indexed, and no message is in it. Copy it again.")
-    return replace(bag, scanned=keep or not any(is_packed(file) for file in files))
+        journal = file.with_name(f"{file.name}-wal")
+        if journal.is_file() and journal.stat().st_size:
+            raise RecordingError(
+                f"{file} was not closed: {journal.name} beside it holds messages that are not in it. Take them in with "
+                f'`sqlite3 {file.name} "PRAGMA wal_checkpoint(TRUNCATE)"`, or remove that file to do without them.'
+            )
+    bag = scanned(path, files, tuple((file.stat().st_size, file.stat().st_mtime_ns) for file in files))
+    if bag.fault and not bag.count:
+        raise RecordingError(f"{path} is damaged: {bag.fault}. No message can be read before that. Copy it again.")
+    if not bag.topics:
+        raise RecordingError(f"{path} holds no message. Copy it again.")
+    return bag
 
 
-def refuse_journal(file: Path) -> None:
-    """An error where a database has messages beside it that were not written into it yet."""
-    journal = file.with_name(f"{file.name}-wal")
-    if journal.is_file() and journal.stat().st_size:
-        raise RecordingError(
-            f"{file} was not closed: {journal.name} beside it holds messages that are not in it. Take them in with "
-            f'`sqlite3 {file.name} "PRAGMA wal_checkpoint(TRUNCATE)"`, or remove that file to do without them.'
-        )
-
-
-def scan_bag(path: Path, files: Sequence[Path]) -> Bag:
-    """The bag as a reading from front to back finds it, and where that ended."""
+@lru_cache(maxsize=4)
+def scanned(path: Path, files: tuple[Path, ...], state: tuple[tuple[int, int], ...]) -> Bag:
+    """The bag as a reading finds it; `state`: size and time of change of each file, for which this holds."""
+    del state
     channels: dict[str, Channel] = {}
     counts: Counter[str] = Counter()
     faults = []
@@ -744,30 +525,7 @@ def scan_bag(path: Path, files: Sequence[Path]) -> Bag:
                 counts[channel.topic] += not isinstance(item, Channel)
         except BrokenOffError as wrong:
             faults.append(f"{file.name}: {wrong}")
-    topics = {name: Topic(channel, counts[name]) for name, channel in channels.items()}
-    return Bag(path, tuple(files), scanned=True, topics=topics, fault="; ".join(faults))
-
-
-def damaged(bag: Bag, fault: str) -> RecordingError:
-    """The error for a bag that breaks off."""
-    good = ", ".join(f"{topic.count} of {name}" for name, topic in bag.topics.items() if topic.count)
-    text = f"{bag.path} is damaged: {fault}."
-    if not good:
-        return RecordingError(f"{text} No message can be read before that. Copy it again.")
-    return RecordingError(
-        f"{text} {bag.count} messages can be read before that ({good}). Copy it again, or write "
-        'damaged = "keep" to use what is there.'
-    )
-
-
-def together(parts: Iterable[list[tuple[Channel, int]]]) -> dict[str, Topic]:
-    """Topics by name; publishers and parts of one topic are added up."""
-    topics: dict[str, Topic] = {}
-    for part in parts:
-        for channel, count in part:
-            before = topics.get(channel.topic, Topic(channel, 0))
-            topics[channel.topic] = replace(before, count=before.count + count)
-    return topics
+    return Bag(path, files, {name: Topic(one, counts[name]) for name, one in channels.items()}, "; ".join(faults))
 
 
 def topic_of(bag: Bag, name: str, where: str) -> Topic:
@@ -796,7 +554,7 @@ def raw_messages(bag: Bag, topic: Topic) -> Iterator[tuple[int, bytes]]:
     """When each message of the topic was received, ns, and its bytes, in the bag's order."""
     name, count = topic.channel.topic, 0
     for part in bag.parts:
-        try:
+        with suppress(BrokenOffError):  # `bag.fault` says so
             for item in scan(part, name):
                 if isinstance(item, Channel) or item[0].topic != name:
                     continue
@@ -804,15 +562,11 @@ def raw_messages(bag: Bag, topic: Topic) -> Iterator[tuple[int, bytes]]:
                     raise RecordingError(f"{bag.path}: {name} has more than {count} messages. Cut the bag.")
                 count += 1
                 yield item[1:]
-        except BrokenOffError as wrong:
-            if not bag.scanned:  # else `bag.fault` says so
-                whole = scan_bag(bag.path, bag.parts)
-                raise damaged(whole, whole.fault or str(wrong)) from None
 
 
-def messages(bag: Bag, topic: Topic, definitions: Path | None = None) -> Iterator[tuple[int, Any]]:
+def messages(bag: Bag, topic: Topic) -> Iterator[tuple[int, Any]]:
     """When each message of the topic was received, ns, and the message as an object."""
-    decode = decoder(bag.path, topic.channel, definitions)
+    decode = decoder(bag.path, topic.channel)
     for count, (received, data) in enumerate(raw_messages(bag, topic)):
         try:
             decoded = decode(data)

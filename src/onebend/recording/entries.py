@@ -39,7 +39,6 @@ FAMILIES = tuple(FAMILY_SIZES)
 MOST_TAGS = 100  # of one recording
 DEFAULT_PLACEMENT_SD = 0.0005  # m, a tag put on by hand with a ruler
 Axes = Literal["beam", "room"]
-Damaged = Literal["refuse", "keep"]
 
 
 @dataclass(frozen=True)
@@ -136,18 +135,6 @@ class BeamEntry:
     masses: tuple[MassEntry, ...] = ()
 
 
-def message_definitions() -> Any:
-    """The key `definitions`, where the file may be a bag."""
-    says = "a folder with .msg files, for a bag without them"
-    return key('definitions = "msgs"', text, says, None)
-
-
-def damaged_bag() -> Any:
-    """The key `damaged`, where the file may be a bag."""
-    says = 'whether a damaged bag is refused ("refuse") or used up to the damage ("keep")'
-    return key('damaged = "refuse"', one_of("refuse", "keep"), says, "refuse")
-
-
 def load_sd() -> Any:
     """The key `load_sd_N`, where loads are weighed."""
     says = "how exactly the loads are known (one sd), N"
@@ -223,8 +210,6 @@ class VideoEntry:
         "container",
     )
     topic: str = key('topic = "/camera/image_raw"', text, "the image topic, where file is a bag", "")
-    definitions: Path | None = message_definitions()
-    damaged: Damaged = damaged_bag()
     start: float = key("start_s = 0.0", number(), "the time of the first frame on the force log's clock, s", nan)
     start_uncertainty: float = key(
         "start_uncertainty_s = 2.0",
@@ -449,8 +434,6 @@ class ForceEntry:
         "the two axes of the bag's forces that span the plane of bending, in the order of x and y",
         ("x", "y"),
     )
-    definitions: Path | None = message_definitions()
-    damaged: Damaged = damaged_bag()
     rotation: float = key(
         "rotation_deg = 0.0",
         ANGLE,

@@ -463,8 +463,7 @@ def of_part(info: CameraInfo, matrix: Array) -> tuple[Array, str]:
 
 FILE_NAME = "recording.toml"
 BAGS = ("video", "force")  # whose file may be a bag
-FOLDERS = ("folder", "definitions")  # keys that name folders
-PATHS = ("file", "frame_times", "base_angle_file", "mass_file", "section_file", "loads", "clicks", *FOLDERS)
+PATHS = ("file", "frame_times", "base_angle_file", "mass_file", "section_file", "loads", "clicks", "folder")
 CLAMP_ALONE = TagsEntry(on_beam=(TagEntry(id=0, s=0.0),))  # what is known where nothing is looked at
 LINE_NAMED = re.compile(r"\bline (\d+)\b")  # in what is said of text that is no TOML
 
@@ -603,7 +602,7 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes, to_come:
         if written is None or (field_name == "frame_times" and written == "container"):
             continue
         path = folder / written
-        wants_folder = field_name in FOLDERS
+        wants_folder = field_name == "folder"
         exists = path.is_dir() if wants_folder else path.is_file() or (name in BAGS and is_bag(path))
         if not exists and not to_come:
             what, other = "folder" if wants_folder else "file", "" if wants_folder else _no_file(path)

@@ -63,8 +63,7 @@ class FilmStrip:
 
 
 def film_of(video: Path, observations: Observations) -> VideoEntry:
-    topic = observations.source.video_topic
-    return VideoEntry(file=video, topic=topic, damaged="keep" if topic else "refuse")
+    return VideoEntry(file=video, topic=observations.source.video_topic)
 
 
 def spread_frames(frame: IntArray) -> IntArray:

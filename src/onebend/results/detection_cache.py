@@ -64,7 +64,7 @@ def key_of(video: VideoEntry, tags: TagsEntry, version: str) -> str:
     """40 hexadecimal digits of film, tags and version; names of files and later settings do not count."""
     contents = [(kind, checksum_of(one)) for kind, path in film_files(video) for one in inputs_of([path])]
     ids = [[tag.id for tag in group] for group in (tags.on_base, tags.on_beam)]
-    settings = (tags.family, ids, video.fps, video.topic, video.damaged)
+    settings = (tags.family, ids, video.fps, video.topic)
     return hashlib.sha256(repr((FORMAT, contents, settings, version, finder_version())).encode()).hexdigest()[:40]
 
 
@@ -74,9 +74,6 @@ def film_files(video: VideoEntry) -> list[tuple[str, Path]]:
     found = [(file.suffix.lower(), file) for file in files]
     if video.topic and video.file.is_dir():
         found += [(file.name, file) for file in sorted(video.file.glob("*.yaml"))]
-    if video.definitions is not None:
-        inside = sorted(video.definitions.rglob("*.msg"))
-        found += [(file.relative_to(video.definitions).as_posix(), file) for file in inside]
     if video.frame_times != "container":
         found.append(("frame times", Path(video.frame_times)))
     return found

@@ -170,7 +170,7 @@ def first_frame(places: StudioFolder, name: str, file: str, topic: str, family: 
 
 @lru_cache(maxsize=8)
 def _frame(path: Path, topic: str, family: str, _changed: int, _size: int) -> dict[str, Any]:
-    video = VideoEntry(file=path, topic=topic, damaged="keep" if topic else "refuse")
+    video = VideoEntry(file=path, topic=topic)
     found = next(iter(pictures_at(video, [0], colour=True)), None)
     if found is None:
         raise RecordingError(f"{path.name} holds no frame. Copy it again from the camera")
