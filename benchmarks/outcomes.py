@@ -66,7 +66,7 @@ def row(effects: str, seed: int) -> Row:
     seconds = time.process_time() - began
     s = np.linspace(0.05, 0.9 * one.bench.push.at_s, PLACES)
     band = compared(one.posterior, s, true_stiffness(one.bench, one.made.motion, s).k, Outcome(effects, seed))
-    goals = [goal for goal in led(one) if not goal.new]
+    goals = led(one, with_new=False)
     return Row(
         effects,
         seed,

@@ -148,8 +148,8 @@ def renewed(one: Learned, rng: np.random.Generator) -> TrueSetUp:
     return replace(before, bench=replace(bench, effects=effects, sensor=sensor), posture=posture, axes=axes)
 
 
-def led(one: Learned) -> list[Led]:
-    """The point at the tip, led to goals in the set-up of the recording and with new parts."""
+def led(one: Learned, *, with_new: bool = True) -> list[Led]:
+    """The point at the tip, led to goals in the set-up of the recording, and to the same ones with new parts."""
     setup, known, beam = setup_of(one.posterior), one.posterior.stiffness, one.posterior.beam
     assert setup is not None
     rng = np.random.default_rng([one.seed, 7])
@@ -160,6 +160,8 @@ def led(one: Learned) -> list[Led]:
         goal = setup.bent(beam, known, shown[None]).xy(np.array([1.0]))[0, 0]
         for new in (False, True):
             there = renewed(one, rng) if new else same(one, rng)
+            if new and not with_new:
+                continue  # the draws of the goals stay the same
             found = reach_in_setup(beam, known, setup, goal, push_s=push.at_s, new=NEW if new else ())
             place = there.place(found.force, 1.0)
             off = float(np.linalg.norm(place - goal))

@@ -7,6 +7,7 @@ import re
 import runpy
 import subprocess
 import sys
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -16,9 +17,10 @@ import pytest
 from typer.testing import CliRunner, Result
 
 import onebend
-from onebend import cli, load_model, load_observations, load_uncertain
+from onebend import cli, fit, load_model, load_observations, load_uncertain
 from onebend.cli import learning as learning_commands
 from onebend.learning.optimizer import FitSettings
+from onebend.learning.posterior import Posterior
 from onebend.pipeline import Run, learn
 from onebend.recording.entries import VideoEntry
 from onebend.recording.tags import detect_tags
@@ -147,17 +149,27 @@ def test_validating_on_a_beam_of_another_length_is_refused(runs: Runs, tmp_path:
     assert "300 mm long, the learned one 150 mm" in result.stderr.replace("\n", " ")
 
 
+@pytest.fixture(scope="module")
+def fitted(runs: Runs) -> Posterior:
+    """What was observed above, fitted with fewer functions."""
+    return fit([load_observations(runs.out)], settings=QUICK)
+
+
 @pytest.fixture
-def asked(runs: Runs, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
-    """What an example observes: each time what was observed above, for a fit of fewer functions."""
+def asked(runs: Runs, fitted: Posterior, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """What an example observes, and fits: each time what was observed and fitted above."""
     seen, asked = load_observations(runs.out), list[Path]()
+
+    def fit_again(given: Sequence[Observations]) -> Posterior:
+        assert given[0] is seen
+        return fitted
 
     def observe(folder: Path | str) -> Observations:
         asked.append(ROOT / folder)
         return seen
 
     monkeypatch.setattr(onebend, "observe", observe)
-    monkeypatch.setattr(onebend, "fit", partial(onebend.fit, settings=QUICK))
+    monkeypatch.setattr(onebend, "fit", fit_again)
     return asked
 
 

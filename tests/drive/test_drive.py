@@ -170,7 +170,7 @@ class Stop:
         self.cell, self.moments = cell, moments
 
     def is_set(self) -> bool:
-        return self.cell.time > self.moments[0]
+        return any(one < self.cell.time < one + 0.3 for one in self.moments)
 
 
 def test_a_stop_holds_and_releases_slowly(tmp_path: Path) -> None:
@@ -194,6 +194,17 @@ def test_a_stop_holds_and_releases_slowly(tmp_path: Path) -> None:
     back = float(np.linalg.norm(first.position - last.position))
     assert back / (plan.settings.retreat * 0.008) <= len(later) + 1
     assert np.linalg.norm(true_point(cell, 1.0) - [0.15, 0.0]) < 1e-3
+
+
+def test_a_second_stop_lets_go_at_once(tmp_path: Path) -> None:
+    rec = read_recording(described(tmp_path, width=640), filmed=False)
+    cell = VirtualCell(setup_for(rec, holds=False, sees=math.radians(60.0)))
+    robot = Noting(cell)
+    outcome = drive_cell(tmp_path, planned(rec, [goal_of()]), cell, robot=robot, stop=Stop(cell, 1.8, 2.3))
+    texts = [one.text for one in outcome.drive.events]
+    assert texts[1:] == ["holds: stopped by hand", "let go at once, as asked"]
+    assert robot.released == 1
+    assert all(at < 1.95 for at, _ in robot.told)
 
 
 def made_drive(tmp_path: Path, **settings: Any) -> tuple[Drive, VirtualCell, Noting]:

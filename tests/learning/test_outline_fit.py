@@ -13,8 +13,9 @@ from onebend.learning.frames import _of_tags, pose_whitening, read_alone, with_s
 from onebend.learning.instruments import instruments_of, setup_of
 from onebend.learning.parameters import Spline
 from onebend.learning.posterior import fit
-from onebend.records import Array, Observations, read_before_fit
+from onebend.records import Array, Observations, Remark, read_before_fit
 from tests.learning.bench import IDEAL, SOFT, forces, observed
+from tests.made_up import with_source
 
 S = np.linspace(0.08, 0.98, 22)
 SD = 2e-5  # m
@@ -124,11 +125,16 @@ def test_an_outline_that_spoils_the_fit_is_left_out_of_it() -> None:
     both = beside_tags()
     assert both.traced is not None
     far = np.where(both.traced, 2e-3, 0.0) * np.random.default_rng(0).normal(size=both.angle.shape)
-    spoilt = fit([replace(both, xy=both.xy + far[..., None])], settings=IDEAL)
+    strayed = replace(both, xy=both.xy + far[..., None])
+    spoilt = fit([strayed], settings=IDEAL)
     assert spoilt.without_outline
     tags = fit([read_alone(both)], settings=IDEAL)
     np.testing.assert_allclose(spoilt.stiffness.log_at(S)[0], tags.stiffness.log_at(S)[0], atol=1e-9)
     assert not fit([both], settings=IDEAL).without_outline
+    doubted = Remark("warning", "The log is of another push.", doubt=True, about="axes")
+    contradicted = fit([with_source(strayed, remarks=(doubted,))], settings=IDEAL)
+    assert contradicted.doubts  # as they would be without the outline
+    assert not contradicted.without_outline
 
 
 def test_recordings_of_one_beam_keep_the_points_that_all_of_them_have() -> None:

@@ -198,17 +198,20 @@ def test_a_percentage_is_a_share(text: str, share: float) -> None:
 def test_an_interrupt_ends_the_film_and_a_second_one_interrupts() -> None:
     usual = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        interrupted_twice()
+        interrupted_after(1)
+        interrupted_after(2)
     finally:
         signal.signal(signal.SIGINT, usual)
 
 
-def interrupted_twice() -> None:
+def interrupted_after(times: int) -> None:
     before = signal.getsignal(signal.SIGINT)
-    with stopped_by_hand() as (stop, begin):
+    with stopped_by_hand(times) as (stop, begin):
         assert not begin.is_set()
-        signal.raise_signal(signal.SIGINT)
-        assert stop.is_set()
+        for _ in range(times):
+            stop.clear()
+            signal.raise_signal(signal.SIGINT)
+            assert stop.is_set()
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is before

@@ -147,8 +147,11 @@ def test_what_comes_next_is_one_thing_and_the_gravest_first() -> None:
     assert verdict.grade == "not to be trusted"
     assert verdict.next == "The force looks reversed. Give acts_on the other value"
     assert verdict.use.startswith("none")
-    alarmed = verdict_of(replace(found, posterior=with_alarm("push place", [-0.1])))
+    alarm = with_alarm("push place", [-0.1])
+    alarmed = verdict_of(replace(found, posterior=alarm))
     assert "check at_s in [push]" in alarmed.next
+    both = replace(alarm, problem=doubted.problem)  # the log's axes are wrong, which looks like another place as well
+    assert verdict_of(replace(found, posterior=both)).next == verdict.next
     assert "1 stands out (push place)" in alarmed.rests_on
 
 
@@ -231,9 +234,13 @@ def test_the_verdict_names_what_no_test_sees() -> None:
     found = made_up.findings(0)
     said = verdict_of(found).given
     force = float(np.linalg.norm(found.recordings[0].force, axis=1).max())
-    assert f"the force in N as logged (at most {force:.3g} N)" in said
+    assert f"the log being of this push and in N (at most {force:.3g} N)" in said
     assert "the length of 150 mm" in said
     assert ("rests on", said) in verdict_of(found).rows
+    hung = made_up.with_stated(replace(found.recordings[0], gravity=np.tile([-9.81, -1e-17], (90, 1))), mass=0.07)
+    assert verdict_of(replace(found, recordings=(hung,))).given.endswith(
+        "the mass of 70 g, gravity turned by -180 deg from the beam's direction at the clamp"
+    )
 
 
 def test_a_wrong_unit_is_the_next_thing_to_correct_even_where_k_is_trusted() -> None:

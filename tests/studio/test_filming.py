@@ -26,7 +26,7 @@ from onebend.live.recording_folder import FilmWriter
 from onebend.options import expanded
 from onebend.studio.filming import MadeRecording, RecorderProcess, check_source, sources_data, wanted_recording
 from onebend.studio.places import StudioFolder
-from onebend.studio.recorder import QUALITY, WIDEST, Talk, check_data, settings_of, state_data, work
+from onebend.studio.recorder import QUALITY, WIDEST, Talk, capture_line, check_data, settings_of, state_data, work
 from onebend.studio.recordings import jpeg_in
 from tests.live.streamed import frames, log, toml
 from tests.recording.filmed import HEIGHT, WIDTH
@@ -190,7 +190,7 @@ def test_what_is_recorded_is_told_with_pictures_tags_and_advice(
     monkeypatch.setattr("onebend.studio.recorder.OFTEN", 0.0)
     memory = io.StringIO()
     wanted = wanted_recording(places, asked(fast=True, no_learning=True, out="told"))
-    outcome = work(wanted, Talk(memory), threading.Event(), threading.Event())
+    outcome = work(wanted, Talk(memory, capture_line), threading.Event(), threading.Event())
     assert outcome.film is not None
     said = lines_of(memory)
     assert said[0]["length_m"] > 0.0
@@ -221,7 +221,7 @@ def test_the_last_state_is_told_and_a_studio_that_stands_still_holds_nothing_up(
             free.wait(10.0)
             return memory.write(data)
 
-    talk, begun = Talk(Stuck()), time.monotonic()
+    talk, begun = Talk(Stuck(), capture_line), time.monotonic()
     for seconds in range(50):
         talk.watch(CaptureState("push", seconds=float(seconds)))
     assert time.monotonic() - begun < 1.0

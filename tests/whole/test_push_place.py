@@ -32,7 +32,7 @@ from onebend.learning.push_place import (
     with_places,
 )
 from onebend.learning.verdict import fit_notices
-from onebend.records import Array
+from onebend.records import Array, Remark
 from onebend.report.sentences import worded
 from tests.learning.bench import IDEAL, SOFT, forces, observed
 from tests.made_up import with_source
@@ -228,11 +228,16 @@ def test_a_place_is_accused_where_other_tests_would_speak() -> None:
     assert np.isclose(np.exp(-ACCUSED), 10.0**ALARM)
 
 
-def test_where_the_film_shows_the_tool_no_other_place_is_asked() -> None:
+@pytest.mark.parametrize("about", ["tool place", "axes", "push place"])
+def test_where_the_recording_tells_or_is_contradicted_no_other_place_is_asked(about: str) -> None:
     one = fitted(0.75, 1.0)
     [seen] = one.recordings
     shown = replace(seen, observations=with_source(seen.observations, place_seen=True))
     assert search_place(replace(one.problem, recordings=(shown,)), one.optimum, SETTINGS) is None
+    remark = Remark("warning", "It is not so.", doubt=True, about=about)
+    wrong = replace(seen, observations=with_source(seen.observations, remarks=(remark,)))
+    asked = search_place(replace(one.problem, recordings=(wrong,)), one.optimum, SETTINGS)
+    assert (asked is None) is (about != "push place")
 
 
 def test_moments_of_pushes_at_two_places() -> None:

@@ -7,7 +7,7 @@ export interface Trial {
   time_s?: number[]; error_m?: number[]; force_N?: Point[]; axis_m?: Point[][]; point_m?: Point[];
 }
 export interface Beam { name: string; length_m: number; rest_m: Point[]; goal_m: Point; band: boolean; mass: boolean; doubts: string[] }
-export interface LoopScene { beam: Beam | null; map: ReachMap | null; goal: Point; trials: Trial[]; now: number; push: number; point: number; stale: boolean; focus: boolean }
+export interface LoopScene { beam: Beam | null; map: ReachMap | null; goal: Point; trials: Trial[]; now: number; push: number; point: number; stale: boolean; focus: boolean; band?: Point[] | null }
 
 const ARROW = 0.28;  // of the beam's length, at the largest force
 
@@ -66,6 +66,12 @@ export class LoopPlane {
     context.globalAlpha = stale ? 0.35 : 1;
     trials.map((trial, i): [Trial, number] => [trial, i]).reverse().forEach(([trial, i]) => this.trial(context, tint, trial, most, i));
     context.globalAlpha = 1;
+    if (this.scene.band) {
+      context.strokeStyle = tint.pink;
+      context.lineWidth = 1;
+      trace(context, this.scene.band.map(this.px));
+      context.stroke();
+    }
     this.goal(context, tint);
     if (this.scene.focus) {
       context.strokeStyle = tint.blue;

@@ -11,6 +11,7 @@ const ROOMS = {
   learn: ["Learn", async () => (await import("./learn.js")).learn],
   bend: ["Bend", async () => bend],
   loop: ["Loop", async () => (await import("./loop.js")).loop],
+  drive: ["Drive", async () => (await import("./drive.js")).drive],
 } as const;
 type Room = keyof typeof ROOMS;
 

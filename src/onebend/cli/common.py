@@ -334,18 +334,19 @@ def answer(as_json: bool, data: Mapping[str, Any], show: Callable[[Console], Non
 
 
 @contextmanager
-def stopped_by_hand() -> Iterator[tuple[threading.Event, threading.Event]]:
-    """Events set by Ctrl-C (end the film) and Enter (begin it). A second Ctrl-C interrupts."""
+def stopped_by_hand(times: int = 1) -> Iterator[tuple[threading.Event, threading.Event]]:
+    """Events set by Ctrl-C (end the film) and Enter (begin it), each time. Ctrl-C after so many `times` interrupts."""
     stop, begin = threading.Event(), threading.Event()
-    before = signal.getsignal(signal.SIGINT)
+    before, left = signal.getsignal(signal.SIGINT), iter(range(times - 1))
 
     def end(*_: object) -> None:
         stop.set()
-        signal.signal(signal.SIGINT, before)
+        if next(left, None) is None:
+            signal.signal(signal.SIGINT, before)
 
     def wait_for_enter() -> None:
-        sys.stdin.readline()
-        begin.set()
+        while sys.stdin.readline():
+            begin.set()
 
     if sys.stdin is not None and sys.stdin.isatty():
         threading.Thread(target=wait_for_enter, daemon=True).start()

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from threading import Event
 from types import SimpleNamespace
 from typing import Annotated, Literal
 
@@ -19,12 +21,14 @@ from onebend.drive import plan as plans, specs
 from onebend.drive.machine import DriveState
 from onebend.drive.placing import Placement, from_recording, stated_placement
 from onebend.drive.plan import DriveSettings
-from onebend.drive.run import DriveOutcome, drive as run
+from onebend.drive.robots import Robot
+from onebend.drive.run import SUMMARY, DriveOutcome, drive as run
 from onebend.drive.virtual import VirtualRobot
 from onebend.errors import RecordingError
 from onebend.live.commands import StateView
 from onebend.live.recording_folder import copy_description
 from onebend.options import option
+from onebend.progress import Progress, Silent, real_time
 from onebend.recording.entries import Recording
 from onebend.recording.folder import FILE_NAME, folder_of, read_recording
 
@@ -57,21 +61,9 @@ def drive(
 ) -> None:  # fmt: skip
     """Bend a learned beam to a goal with a robot and a camera: a plan first, and with --go the real loop, recorded."""
     with common.clean_errors(), common.progress_of(quiet or as_json) as progress:
-        stored = read_trusted(model)
-        rec = _described(folder, asked.like)
-        rec = replace(rec, push=None if rec.push is None else replace(rec.push, at=push_at))
-        limits, gravity = plans.known_limits(stored, rec, settings.limits), plans.gravity_of(rec)
-        wanted = plans.read_wanted(
-            plans.levelled(stored, rec, gravity), limits, goal=goal, goals=asked.goals, targets=asked.shape,
-            push_s=push_at, point_s=point, gravity=gravity,
+        plan, made = planned(
+            model, folder, asked, settings, goal=goal, point_s=point, push_s=push_at, progress=progress
         )  # fmt: skip
-        placement = _placement(rec, asked.like, asked.place, asked.tool_tag)
-        plan = plans.make_plan(
-            stored, rec, wanted, placement, settings, push_s=push_at, point_s=point, progress=progress
-        )
-        made = specs.robot_of(asked.robot)(rec, settings) if asked.robot is not None else None
-        if made is not None and settings.by not in made.can:
-            raise RecordingError(f"--by {settings.by}: {made.name} cannot be asked for it. Take --by pose.")
     if not as_json:
         table = common.facts_table()
         for what, says in plans.plan_rows(plan):
@@ -86,33 +78,70 @@ def drive(
             return
         if made is None:
             raise RecordingError("--robot is missing: which one is to move? See docs/drive.md.")
-        if asked.camera is None and not isinstance(made, VirtualRobot):
-            raise RecordingError("--camera is missing: /dev/video0, or another of docs/record.md.")
-        if asked.like is not None:
-            copy_description(asked.like, folder)
-        eye = (
-            made.camera()
-            if asked.camera is None and isinstance(made, VirtualRobot)
-            else specs.camera_of(str(asked.camera))
-        )
-        sensor = None if asked.force is None else specs.force_of(asked.force)
         with (
-            common.stopped_by_hand() as (stop, enter),
+            real_time(),  # of the view's thread as well
+            common.stopped_by_hand(times=2) as (stop, enter),
             StateView(
                 None if quiet or as_json else common.stderr_screen(), _screen, lambda one: (one.says, one.says)
             ) as view,
         ):
-            outcome = run(
-                folder,
-                plan,
-                eye,
-                made,
-                sensor,
-                watch=view.show,
-                stop=SimpleNamespace(is_set=lambda: stop.is_set() or enter.is_set()),
-                overwrite=overwrite,
-            )
+            outcome = go(folder, asked, plan, made, view.show, (stop, enter), overwrite=overwrite)
     _answer(outcome, data_alone=as_json)
+    with common.clean_errors():
+        refuse_failed(outcome)
+
+
+def planned(
+    model: Path, folder: Path, asked: DriveOptions, settings: DriveSettings, *, goal: tuple[float, float] | None,
+    point_s: float, push_s: float, progress: Progress = Silent(),
+) -> tuple[plans.DrivePlan, Robot | None]:  # fmt: skip
+    """The plan, and the robot where one is named. Raises `OnebendError`: what cannot be."""
+    stored = read_trusted(model)
+    rec = _described(folder, asked.like)
+    rec = replace(rec, push=None if rec.push is None else replace(rec.push, at=push_s))
+    limits, gravity = plans.known_limits(stored, rec, settings.limits), plans.gravity_of(rec)
+    wanted = plans.read_wanted(
+        plans.levelled(stored, rec, gravity), limits, goal=goal, goals=asked.goals, targets=asked.shape,
+        push_s=push_s, point_s=point_s, gravity=gravity,
+    )  # fmt: skip
+    placement = _placement(rec, asked.like, asked.place, asked.tool_tag)
+    plan = plans.make_plan(stored, rec, wanted, placement, settings, push_s=push_s, point_s=point_s, progress=progress)
+    made = specs.robot_of(asked.robot)(rec, settings) if asked.robot is not None else None
+    if made is not None and settings.by not in made.can:
+        raise RecordingError(f"--by {settings.by}: {made.name} cannot be asked for it. Take --by pose.")
+    if made is not None and asked.camera is None and not isinstance(made, VirtualRobot) and asked.go:
+        raise RecordingError("--camera is missing: /dev/video0, or another of docs/record.md.")
+    return plan, made
+
+
+def go(
+    folder: Path, asked: DriveOptions, plan: plans.DrivePlan, made: Robot, watch: Callable[[DriveState], None],
+    stops: tuple[Event, ...], *, overwrite: bool = False,
+) -> DriveOutcome:  # fmt: skip
+    """Drive. Each time that one of `stops` is set counts as one press: hold and release slowly, then let go at once."""
+    if asked.like is not None:
+        copy_description(asked.like, folder)
+    own = made.camera() if asked.camera is None and isinstance(made, VirtualRobot) else None
+    eye = own or specs.camera_of(str(asked.camera))
+    sensor = None if asked.force is None else specs.force_of(asked.force)
+
+    def pressed() -> bool:
+        found = [one for one in stops if one.is_set()]
+        for one in found:
+            one.clear()
+        return bool(found)
+
+    return run(
+        folder, plan, eye, made, sensor, watch=watch, stop=SimpleNamespace(is_set=pressed), overwrite=overwrite
+    )  # fmt: skip
+
+
+def refuse_failed(outcome: DriveOutcome) -> None:
+    """Raises `RecordingError` where something went wrong."""
+    if not outcome.good:
+        events = outcome.drive.events
+        last = next((one.text for one in events if one.fault), events[-1].text if events else "it ended")
+        raise RecordingError(f"{last}. What happened is in {outcome.recorded.folder / SUMMARY}")
 
 
 def _described(folder: Path, like: Path | None) -> Recording:
@@ -163,7 +192,3 @@ def _answer(outcome: DriveOutcome, *, data_alone: bool) -> None:
             )
         learning = made.plan.remarks or (f"learn from it with: onebend learn {folder}",)
         common.say(f"Recorded {folder}; {learning[0]}")
-    if not outcome.good:
-        last = next((one.text for one in made.events if one.fault), made.events[-1].text if made.events else "it ended")
-        with common.clean_errors():
-            raise RecordingError(f"{last}. What happened is in {folder / 'drive.json'}")

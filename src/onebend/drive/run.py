@@ -98,7 +98,7 @@ def drive(
     """Drive, and record into `folder`, which holds a recording.toml.
 
     Args:
-        stop: set from anywhere: hold, and release slowly.
+        stop: set from anywhere: hold, and release slowly; set anew: let go at once.
         clock: None: this machine's.
         beside: False: all in this process, as tests on a played clock want it.
         setup: s for which the picture must be good before the film begins.
@@ -113,8 +113,8 @@ def drive(
     learner = Renewer(made, beside=beside) if plan.settings.learn else None
 
     def now_and_then(state: CaptureState) -> None:
-        if stop is not None and stop.is_set() and not said:
-            said.append(True)
+        was, pressed[0] = pressed[0], stop is not None and stop.is_set()
+        if pressed[0] and not was:
             made.stop()
         if learner is not None and state.stiffness is not None and state.live is not None:
             learner.learned(
@@ -123,7 +123,7 @@ def drive(
         if made.over:
             over.set()
 
-    said: list[bool] = []
+    pressed = [False]
     settings = CaptureSettings(
         ends=False, setup=setup, share=0.0, rest=plan.settings.rest, follow=plan.settings.learn, overwrite=overwrite,
         longest=1e5, live_beside=beside, live=LiveSettings(),

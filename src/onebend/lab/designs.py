@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 from scipy.integrate import solve_ivp
-from scipy.interpolate import make_lsq_spline
+from scipy.interpolate import CubicSpline, make_lsq_spline
 from scipy.linalg import eigvals
 from scipy.optimize import brentq
 
@@ -457,7 +457,7 @@ TURNS_DEG = (30.0, 60.0, 90.0)
 GRAVITY = 9.81  # m/s^2
 FINE = Resolution(order=16, widest=0.25)
 DENSE = np.linspace(0.0, 1.0, 1001)
-MOST_FORCE, GROWTH = 8.0, 1.15  # multiples of the small-angle force; growth per try
+MOST_FORCE, TRIED = 8.0, 33  # times the force of small angles; forces tried at once
 
 
 @dataclass(frozen=True)
@@ -534,28 +534,30 @@ def bend(design: Design, turn: float) -> TipBend:
     none."""
     beam = design.beam()
 
-    def from_the_tip(force: float, places: Array) -> Array:
-        """(2, S) angle [rad] and moment [N m] at falling places: known at the tip, seen from there."""
+    def from_the_tip(force: Array, places: Array) -> Array:
+        """(2, B, S) angle [rad] and moment [N m] under forces (B,) at falling places: known at the tip, seen from
+        there."""
 
         def slopes(s: float, state: Array) -> Array:
-            return np.array([state[1] / float(beam.stiffness(s)), -beam.length * force * math.cos(state[0])])
+            angle, moment = state.reshape(2, -1)
+            return np.concatenate([moment / float(beam.stiffness(s)), -beam.length * force * np.cos(angle)])
 
-        found = solve_ivp(slopes, (1.0, 0.0), np.zeros(2), method="DOP853", t_eval=places, rtol=1e-11, atol=1e-13)
-        return np.asarray(found.y)
+        still = np.zeros(2 * len(force))
+        found = solve_ivp(slopes, (1.0, 0.0), still, method="DOP853", t_eval=places, rtol=1e-10, atol=1e-13)
+        return np.asarray(found.y).reshape(2, len(force), -1)
 
-    def turned(force: float) -> float:
-        return -float(from_the_tip(force, np.zeros(1))[0, 0])
+    def short_of(forces: Array) -> Array:
+        return -from_the_tip(forces, np.zeros(1))[0, :, 0] - turn
 
-    first = turn / _compliance(beam, 1)
-    largest = first
-    while turned(largest) < turn and largest < MOST_FORCE * first:
-        largest *= GROWTH
-    if not turned(largest) >= turn:
+    tried = turn / _compliance(beam, 1) * np.linspace(0.0, MOST_FORCE, TRIED)
+    enough = np.flatnonzero(short_of(tried) >= 0.0)
+    if not len(enough):
         raise MechanicsError(f"no force on the tip of {design.name!r} turns it by {math.degrees(turn):.0f} degrees")
-    force = float(brentq(lambda f: turned(f) - turn, 0.0, largest, xtol=1e-10 * first, rtol=1e-10))
+    closer = np.linspace(tried[enough[0] - 1], tried[enough[0]], TRIED)
+    force = float(brentq(CubicSpline(closer, short_of(closer)), closer[0], closer[-1]))
     problem = make_problem(beam, push((-force * math.sin(turn), force * math.cos(turn))), FINE)
     nodes = problem.grid.nodes
-    q = from_the_tip(force, nodes[::-1])[1, ::-1] / problem.k
+    q = from_the_tip(np.array([force]), nodes[::-1])[1, 0, ::-1] / problem.k
     solved = found_near(problem, q[None], np.ones(1, dtype=bool))
     strain = 0.5 * np.asarray(design.width(nodes)) * np.abs(solved.q[0]) / design.length
     return TipBend(turn, force, np.asarray(solved.xy(np.array([1.0]))[0, 0]), float(np.max(strain)))

@@ -276,6 +276,7 @@ _LEAST_INFORMATION = 1e-4  # information of a direction of log k below which the
 _STEP_DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])  # a step of tau, of rho, of both
 _WIDE_SHARE = 0.3  # share of wide proposals
 _STRATA = (np.arange(15) + 0.5) / 15.0  # of a normal that a mixture is made of
+_BINS = 8000  # of a mixture, from its smallest stratum to its largest
 
 
 @dataclass(frozen=True)
@@ -470,8 +471,7 @@ def _shape(means: Array, sds: Array, weight: Array) -> Array:
     asked = 0.5 + 0.5 * np.stack([-SHAPE_LEVELS, SHAPE_LEVELS])
     ends = []
     for one in values:
-        order = np.argsort(one)
-        each = weights[order]
-        ends.append(np.interp(asked, np.cumsum(each) - 0.5 * each, one[order]))
+        share, edges = np.histogram(one, _BINS, weights=weights)  # sorting them all would take four times as long
+        ends.append(np.interp(asked, np.append(0.0, np.cumsum(share)), edges))
     low, high = np.stack(ends, axis=-1)
     return np.asarray((high - low) / (2.0 * ndtri(asked[1])[:, None] * sd))

@@ -431,7 +431,8 @@ def fit(
         begin = start_of(some, None) if start is None else start
         found = _fit(recordings, begin, settings, gain_sd, progress)
         tags = [read_alone(one) for one in recordings]
-        if any(map(_beside_tags, recordings)) and found.doubts:
+        own = any(map(optimizer.doubts_of, recordings))  # which no other fit takes away
+        if any(map(_beside_tags, recordings)) and found.doubts and not own:
             return replace(_fit(tags, begin, settings, gain_sd, progress), without_outline=found.doubts[0])
         return found
     except np.linalg.LinAlgError as error:

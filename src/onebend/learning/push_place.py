@@ -236,14 +236,16 @@ def search_place(
 ) -> PlaceSearch | None:
     """The evidence at other places than the written one.
 
-    None without one written place, for several recordings, where the film shows the tool there, or, unless `thorough`,
-    where the places on either side are far less likely.
+    None without one written place, for several recordings, where the film shows the tool there, where the log or the
+    film contradict the recording already, or, unless `thorough`, where the places on either side are far less likely.
     """
     (first, *others), layout = problem.recordings, problem.layout
     block = layout.index["place", 0]
     places = first.push_s[np.any(first.force != 0.0, axis=1)]
     one_place = not others and block.start >= 0 and len(places) > 0 and float(np.ptp(places)) == 0.0
-    if not one_place or first.observations.source.place_seen:
+    source = first.observations.source
+    contradicted = any(one.doubt and one.about != "push place" for one in source.remarks)
+    if not one_place or source.place_seen or contradicted:
         return None
     written, length = float(places[0]), first.observations.length
     here = at_written(problem, optimum, written, settings)

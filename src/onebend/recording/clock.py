@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -82,8 +82,13 @@ class OffsetScan:
     """One set of features, with its log posterior at all offsets."""
 
     track: Track
-    noise: ForceNoise
     log_posterior: Array  # over the coarse offsets
+    noise_at_best: Callable[[], ForceNoise]  # is fitted
+
+    @cached_property
+    def noise(self) -> ForceNoise:
+        """The likeliest at the best offset."""
+        return self.noise_at_best()
 
 
 def likely_span(
@@ -137,17 +142,20 @@ def with_slow_noise(noise: ForceNoise, size: float) -> ForceNoise:
 
 
 def coarse_search(track: Track, rows: BinnedLog, offset: Array, prior: Prior) -> OffsetScan:
-    """The log posterior over all offsets. The noise is fitted at the best offset, twice."""
-    noise, laid = first_guess(rows.force, rows.width), laid_over(track, rows, offset)
-    log_ratio = np.full(len(offset), -np.inf)
-    for size in (NEAR * rows.largest, 0.0):
-        log_ratio = evidence_ratios(laid, rows, with_slow_noise(noise, size) if size else noise)
-        if not np.isfinite(log_ratio).any():
-            break
-        best = laid[int(np.argmax(log_ratio + prior(offset)))]
-        assert best is not None  # its ratio is finite
-        noise = fit_noise(rows.time[best.use], best.model, noise)
-    return OffsetScan(track, noise, log_ratio + prior(offset))
+    """The log posterior over all offsets, under the noise that is likeliest at the best one of a first look."""
+    laid = laid_over(track, rows, offset)
+
+    def fitted(log_posterior: Array, start: ForceNoise) -> ForceNoise:
+        best = laid[int(np.argmax(log_posterior))]
+        return start if best is None else fit_noise(rows.time[best.use], best.model, start)
+
+    def searched(noise: ForceNoise) -> Array:
+        return evidence_ratios(laid, rows, noise) + prior(offset)
+
+    start = first_guess(rows.force, rows.width)
+    noise = fitted(searched(with_slow_noise(start, NEAR * rows.largest)), start)
+    log_posterior = searched(noise)
+    return OffsetScan(track, log_posterior, lambda: fitted(log_posterior, noise))
 
 
 @dataclass(frozen=True)

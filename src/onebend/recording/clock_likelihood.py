@@ -440,34 +440,38 @@ class ForceLogModel:
         return z
 
     def turns_per_force(self, rows: MomentsAtRows, z: Array) -> Array:
-        """(N, k, 2) rad / N: turns of the spans per unit force."""
+        """(2, N, k) rad / N: turns of the spans per unit force along x and y."""
         k = len(self.compliance)
-        w = self.compliance * np.exp(z[..., :k])
-        lever = rows.lever[:, 0] + PLACE_SD * z[..., 2 * k, None, None, None] * rows.tangent[:, None, :]
-        return np.asarray((lever + z[..., None, k : 2 * k, None] * rows.lever[:, 1]) * w[..., None, :, None])
+        w = self.compliance * np.exp(z[..., None, :k])
+        place, slope = PLACE_SD * z[..., 2 * k, None, None], z[..., None, k : 2 * k]
+        lever = rows.lever
+        return np.stack(
+            [(lever[:, 0, :, c] + place * rows.tangent[:, c, None] + slope * lever[:, 1, :, c]) * w for c in (0, 1)]
+        )
 
     def force_on_beam(self, rows: MomentsAtRows, z: Array) -> tuple[Array, Array]:
         """(N, 2) N and (N, 2, 2) N^2: mean and covariance of the force on the beam."""
         k = len(self.compliance)
         a = self.turns_per_force(rows, z)
-        weight = 1.0 / self.moments.noise**2
+        weighed = a / self.moments.noise**2
         rest = self.moments.noise / np.sqrt(STILL)
         size = np.sqrt(np.mean((rows.turn / self.moments.noise) ** 2, axis=1) + 1.0)
         size *= self.force / np.sqrt(np.mean((self.moments.largest / self.moments.noise) ** 2))
-        weighed = a * weight[:, None]
-        inner = np.swapaxes(weighed, -1, -2) @ a + np.eye(2) / size[:, None, None] ** 2
-        (xx, xy), (_, yy) = np.moveaxis(inner, (-2, -1), (0, 1))
-        spread = np.moveaxis(np.array([[yy, -xy], [-xy, xx]]) / (xx * yy - xy**2), (0, 1), (-2, -1))
+        xx, xy, yy = (np.einsum("...k,...k->...", weighed[i], a[j]) for i, j in ((0, 0), (0, 1), (1, 1)))
+        xx, yy = xx + size**-2, yy + size**-2
         turn = rows.turn - rest * z[..., None, 2 * k + 4 :]
-        pulled = np.einsum("...kc,...k->...c", weighed, turn)
-        return np.einsum("...cd,...d->...c", spread, pulled), spread
+        x, y = np.einsum("c...k,...k->c...", weighed, turn)
+        volume = xx * yy - xy**2
+        force = np.stack([yy * x - xy * y, xx * y - xy * x], axis=-1)
+        spread = np.stack([yy, -xy, -xy, xx], axis=-1)
+        return force / volume[..., None], (spread / volume[..., None]).reshape(*volume.shape, 2, 2)
 
     def turn_residuals(self, rows: MomentsAtRows, z: Array) -> Array:
         """(N, k) residuals of the turns from those of one force per row, in sd of the turns' noise."""
         k = len(self.compliance)
         force, _ = self.force_on_beam(rows, z)
         rest = self.moments.noise / np.sqrt(STILL) * z[..., None, 2 * k + 4 :]
-        explained = np.einsum("...kc,...c->...k", self.turns_per_force(rows, z), force)
+        explained = np.einsum("c...k,...c->...k", self.turns_per_force(rows, z), force)
         return np.asarray((rows.turn - rest - explained) / self.moments.noise)
 
     def mean(self, rows: MomentsAtRows, z: Array) -> Array:

@@ -159,7 +159,7 @@ def noise_remarks(log: ForceLog, sensor: str, stated: float) -> tuple[Remark, ..
     whose = "white_sd_N" if stated > 0.0 else sensor
     unit = "kilograms" if sd < usual else "grams or millinewtons"
     text = (
-        f"At rest the force scatters by {sd:.2g} N, which is {sd / usual:.2g} times what {whose} says "
+        f"At rest the force scatters by {sd:.2g} N, which is {sd / usual:.3g} times what {whose} says "
         f"({usual:.2g} N): is the log in {unit}? If so, all of k(s) is wrong by the same factor. If it is in newtons, "
         "correct sensor or white_sd_N in [force]."
     )

@@ -171,8 +171,11 @@ def _given(recordings: Sequence[Observations]) -> str:
     if not first.static and facts:
         facts.append(say("given: place", place=span(float(np.nanmin(first.push_s)), float(np.nanmax(first.push_s)))))
     facts.append(say("given: length", length=first.length))
-    if any(np.any(one.gravity) for one in recordings):
-        facts.append(say("given: weight", mass=first.stated.mass) if weighed else say("given: gravity"))
+    if pulled := [np.degrees(np.arctan2(*one.gravity.T[::-1])) for one in recordings if np.any(one.gravity)]:
+        if weighed:
+            facts.append(say("given: mass", mass=first.stated.mass))
+        turn = np.round(np.concatenate(pulled), 1) + 0.0  # no -0
+        facts.append(say("given: gravity", turn=span(float(np.min(turn)), float(np.max(turn)))))
     elif facts and not only_frequencies(recordings):
         facts.append(say("given: no weight"))
     return ", ".join(facts)
@@ -268,21 +271,27 @@ def _next(findings: Run, error: _Error) -> str:
 
 
 def _correction(posterior: Posterior, warnings: Sequence[Remark]) -> str:
-    """What to correct first: the likeliest cause, then what a warning says of the doubts, or of a unit."""
+    """What to correct first: what a warning says of the doubts, then the likeliest cause, then a unit."""
+    data = [one.observations for one in posterior.recordings]
+    seen = [remark for one in data for remark in one.source.remarks if remark.level == "warning"]
     largest = posterior.contradictions[0].about if posterior.doubts and posterior.contradictions else ""
-    if said := [one for one in warnings if largest and one.about == largest]:
-        return said[0].text.rstrip(".")
+    accused = posterior.place is not None and posterior.place.accused
+    doubted = [
+        *(one for one in warnings if largest and one.about == largest),
+        *(one for one in seen if one.doubt),
+        *(one for one in warnings if accused and one.about == "push place"),
+    ]
+    if doubted:
+        return doubted[0].text.rstrip(".")
     causes, trusted = possible(posterior).criticism.causes, posterior.criticism.trusted
     if causes and not trusted and not any(one.hopeless for one in posterior.misses):
         likeliest = cause(causes[0], posterior)
         do = remedy(likeliest)
         return say("next: cause", do=f"{do[:1].lower()}{do[1:]}", cause=likeliest)
-    data = [one.observations for one in posterior.recordings]
-    static = all(one.static for one in data)
-    seen = [remark for one in data for remark in one.source.remarks if remark.level == "warning"]
     units = [one for one in (*seen, *warnings) if one.about in _OF_UNITS]
-    if suspects := [*(one for one in seen if one.doubt), *units, *(seen if posterior.doubts else [])]:
+    if suspects := [*units, *(seen if posterior.doubts else [])]:
         return suspects[0].text.rstrip(".")
+    static = all(one.static for one in data)
     if posterior.doubts:
         return say("next: poses" if static else "next: force")
     if not trusted:

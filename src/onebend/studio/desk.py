@@ -61,6 +61,7 @@ class Client:
 _MOST_BEAMS = 8
 _TURN = 5e-4  # s of the thread switch while mechanics load
 _RESTS = 0.3  # s without a drag before the exact ellipse
+_RELEASES = 60.0  # s for a robot to release the beam and come back
 
 
 class Desk:
@@ -72,6 +73,7 @@ class Desk:
         self.jobs = Jobs("learner", self._job_changed)
         rooms = {"check": "recordings", "loop": "looping"}
         self.works = {room: Jobs(module, partial(self._work_changed, room)) for room, module in rooms.items()}
+        self.works["drive"] = Jobs("driving", partial(self._work_changed, "drive"), _RELEASES)
         self.recorder = RecorderProcess(lambda message, passing: self.tell(message, passing=passing))
         self.beams: dict[str, Bending] = {}
         self.thread = ThreadPoolExecutor(1, "bend")  # beams are for one thread
@@ -280,7 +282,10 @@ class Desk:
             client.put(message, passing=passing)
 
     def _work_changed(self, room: str) -> None:
-        self.tell({"what": "work", "room": room, "job": self.works[room].shown()})
+        job = self.works[room].shown()
+        self.tell({"what": "work", "room": room, "job": job})
+        if room == "drive" and job is not None and job["state"] not in ("running", "stopping"):
+            self.tell({"what": "places"})  # a new recording
 
     def _job_changed(self) -> None:
         shown = self.jobs.shown()

@@ -32,6 +32,7 @@ class Job:
     error: str = ""
     published: bool = False  # k(s) is in place; the report may still be drawn
     found: list[dict[str, Any]] = field(default_factory=list)  # results so far
+    now: dict[str, Any] | None = None  # what is known now, of work that goes with the clock
     ended: float | None = None
 
     def shown(self) -> dict[str, Any]:
@@ -44,6 +45,7 @@ class Job:
             "error": self.error,
             "published": self.published,
             "found": len(self.found),
+            "now": self.now,
         }
 
     def hear(self, said: dict[str, Any]) -> None:
@@ -57,6 +59,8 @@ class Job:
             self.published = True
         elif "found" in said:
             self.found.append(said["found"])
+        elif "now" in said:
+            self.now = said["now"]
         elif "error" in said:
             self.error = str(said["error"])
 
@@ -64,9 +68,9 @@ class Job:
 class Jobs:
     """Work of one kind, one at a time."""
 
-    def __init__(self, module: str, changed: Callable[[], None]) -> None:
-        """`module`: of this folder, run as a process."""
-        self.module, self.changed = module, changed
+    def __init__(self, module: str, changed: Callable[[], None], patience: float = _PATIENCE) -> None:
+        """`module`: of this folder, run as a process, which has so much `patience` [s] to end after an interrupt."""
+        self.module, self.changed, self._patience = module, changed, patience
         self.job: Job | None = None
         self._process: asyncio.subprocess.Process | None = None
         self._task: asyncio.Task[None] | None = None
@@ -81,11 +85,15 @@ class Jobs:
             raise StudioError(f"another runs: {self.job.wanted['command']}. Stop it, or wait")
         self.job = Job(wanted)
         self._process = await begun(self.module)
-        assert self._process.stdin is not None
-        self._process.stdin.write((json.dumps(wanted) + "\n").encode())
-        self._process.stdin.close()
+        self.say(json.dumps(wanted))
         self._task = asyncio.create_task(self._follow(self.job, self._process))
         self.changed()
+
+    def say(self, line: str) -> None:
+        """To the process, if it is there."""
+        if self._process is not None and self._process.stdin is not None:
+            with contextlib.suppress(OSError, RuntimeError):  # already ended
+                self._process.stdin.write(f"{line}\n".encode())
 
     async def stop(self) -> None:
         """Interrupts the job, and kills it if it does not end."""
@@ -96,7 +104,7 @@ class Jobs:
         self.changed()
         with contextlib.suppress(ProcessLookupError):
             process.send_signal(signal.SIGINT)
-        await ended(process, _PATIENCE)
+        await ended(process, self._patience)
         if self._task is not None:
             await self._task
 

@@ -61,20 +61,25 @@ def reach_asked(places: StudioFolder, asked: Mapping[str, Any]) -> tuple[str, fl
     return json.dumps(beam.as_dict(), sort_keys=True), push_s, point_s, bound
 
 
+def asked_goal(asked: Mapping[str, Any]) -> list[float]:
+    """(x, y) m. Raises `StudioError` for anything else."""
+    goal = asked.get("goal_m")
+    if not isinstance(goal, list) or len(goal) != 2:
+        raise StudioError("a goal is (x, y) in m")
+    return [asked_number({"goal": one}, "goal", -1e3, 1e3, 0.0) for one in goal]
+
+
 def wanted_work(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
     """Raises `StudioError` for an invalid request."""
     model = str(asked.get("model", ""))
     places.result(model)
-    goal = asked.get("goal_m")
-    if not isinstance(goal, list) or len(goal) != 2:
-        raise StudioError("a goal is (x, y) in m")
     wanted: dict[str, Any] = {key: asked_number(asked, key, *bounds) for key, bounds in NUMBERS.items()}
     draws = int(asked_number(asked, "draws", 0, MOST_DRAWN, 0))
     most = asked.get("max_force_N")
     wanted |= {
         "folder": str(places.root),
         "model": model,
-        "goal_m": [asked_number({"goal": one}, "goal", -1e3, 1e3, 0.0) for one in goal],
+        "goal_m": asked_goal(asked),
         "draws": draws,
         "max_force_N": None if most is None else asked_number(asked, "max_force_N", *FORCES, 1.0),
     }

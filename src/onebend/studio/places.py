@@ -335,6 +335,14 @@ def loop_line(wanted: Mapping[str, Any]) -> str:
     return line("loop", plain_word(wanted["model"]), "--goal", *goal, *places, *beams, *timing, *bound)
 
 
+def drive_line(wanted: Mapping[str, Any]) -> str:
+    """`wanted`: from `driving.wanted_work`."""
+    goal = [number(one) for one in wanted["goal_m"]]
+    given = [word for key in ("like", "robot", "camera") if wanted[key] for word in (f"--{key}", wanted[key])]
+    places = _places(wanted["push_s"], wanted["point_s"])
+    return line("drive", plain_word(wanted["model"]), wanted["out"], "--goal", *goal, *places, *given, "--go")
+
+
 def plain_word(name: str) -> str:
     """A name that no command takes for an option."""
     return f"./{name}" if name.startswith("-") else name

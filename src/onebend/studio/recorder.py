@@ -14,7 +14,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -42,9 +42,10 @@ _PATIENCE = 3.0  # s for the last messages
 class Talk:
     """JSON lines to the studio from a separate thread, so that a slow studio never delays the film."""
 
-    def __init__(self, out: TextIO) -> None:
-        self._out, self._one = out, threading.Lock()
-        self._newest: live.CaptureState | None = None
+    def __init__(self, out: TextIO, said: Callable[[Any, Any], Mapping[str, Any]]) -> None:
+        """`said`: a state as a line, from it and the one told before (None: the first)."""
+        self._out, self._one, self._said = out, threading.Lock(), said
+        self._newest: Any = None
         self._new, self._over = threading.Event(), False
         self._thread = threading.Thread(target=self._tell_states, daemon=True)
         self._thread.start()
@@ -53,7 +54,7 @@ class Talk:
         with self._one:
             tell(data, self._out)
 
-    def watch(self, state: live.CaptureState) -> None:
+    def watch(self, state: Any) -> None:
         """Of fast states the newest counts."""
         self._newest = state
         self._new.set()
@@ -65,20 +66,20 @@ class Talk:
         self._thread.join(_PATIENCE)
 
     def _tell_states(self) -> None:
-        told: live.CaptureState | None = None
+        told: Any = None
         while True:
             self._new.wait()
             self._new.clear()
             over, state = self._over, self._newest
             if state is not None and state is not told:
-                self.tell(_said(state, told))
+                self.tell(self._said(state, told))
                 told = state
             if over:
                 return
             time.sleep(OFTEN)
 
 
-def _said(state: live.CaptureState, before: live.CaptureState | None) -> dict[str, Any]:
+def capture_line(state: live.CaptureState, before: live.CaptureState | None) -> dict[str, Any]:
     """A state as a line; picture and curve only if new."""
     said: dict[str, Any] = {"state": state_data(state)}
     if state.picture is not None and (before is None or state.picture is not before.picture):
@@ -144,7 +145,7 @@ def check_data(folder: Path) -> dict[str, Any]:
     return {"rows": found.rows, "remarks": remarks, "faults": found.faults}
 
 
-def _lines(handle: int) -> Iterator[str]:
+def lines_in(handle: int) -> Iterator[str]:
     with open(handle, "rb", buffering=0) as stream:
         while line := stream.readline():
             yield line.decode("utf-8", "replace")
@@ -152,7 +153,7 @@ def _lines(handle: int) -> Iterator[str]:
 
 def main() -> int:
     """0: recorded; 2: nothing recorded, or ended by a cable or the disk."""
-    lines, talk = _lines(os.dup(0)), Talk(os.fdopen(os.dup(1), "w"))
+    lines, talk = lines_in(os.dup(0)), Talk(os.fdopen(os.dup(1), "w"), capture_line)
     nothing = os.open(os.devnull, os.O_RDWR)
     for handle in (0, 1):  # child processes must not hold the studio's pipes
         os.dup2(nothing, handle)

@@ -136,6 +136,8 @@ class Asked:
             await work.stop()
         elif what == "start":
             await work.start(await _of_room(work.module, "wanted_work", self.desk.places, asked))
+        elif what == "go":
+            work.say(what)
         else:
             raise StudioError(f"work is started and stopped; there is no {what[:100]!r}")
         return _said({})

@@ -29,7 +29,7 @@ def scan(*peaked: tuple[float, float]) -> OffsetScan:
     density = np.full(len(GRID), -1e4)
     for offset, height in peaked:
         density = np.maximum(density, height - 1e3 * (GRID - offset) ** 2)
-    return OffsetScan(track=None, noise=ForceNoise(1.0, 1.0, 1.0, 1.0), log_posterior=density)  # type: ignore[arg-type]
+    return OffsetScan(None, density, lambda: ForceNoise(1.0, 1.0, 1.0, 1.0))  # type: ignore[arg-type]
 
 
 def test_peaks_that_may_be_right_are_looked_at_the_highest_of_each_search_first() -> None:

@@ -68,7 +68,7 @@ def test_force_told_by_the_turns_is_the_one_that_made_them() -> None:
     model = ForceLogModel(replace(moments, noise=1e-7 * moments.largest), compliance, 1.0)
     z = model.start(np.zeros(2))
     force = np.stack([np.cos(time), 1.0 + 0.3 * np.sin(time)], axis=1)
-    turned = replace(seen, turn=(model.turns_per_force(seen, z) * force[:, None]).sum(axis=2))
+    turned = replace(seen, turn=np.einsum("cnk,nc->nk", model.turns_per_force(seen, z), force))
     told, spread = model.force_on_beam(turned, z)
     bent = np.linalg.norm(virtual.bench.push.force(time), axis=1) > 0.3 * virtual.bench.push.peak
     assert np.allclose(told[bent], force[bent], atol=1e-5)

@@ -53,6 +53,12 @@ export class LoopPlane {
         context.globalAlpha = stale ? 0.35 : 1;
         trials.map((trial, i) => [trial, i]).reverse().forEach(([trial, i]) => this.trial(context, tint, trial, most, i));
         context.globalAlpha = 1;
+        if (this.scene.band) {
+            context.strokeStyle = tint.pink;
+            context.lineWidth = 1;
+            trace(context, this.scene.band.map(this.px));
+            context.stroke();
+        }
         this.goal(context, tint);
         if (this.scene.focus) {
             context.strokeStyle = tint.blue;

@@ -8,6 +8,7 @@ const ROOMS = {
     learn: ["Learn", async () => (await import("./learn.js")).learn],
     bend: ["Bend", async () => bend],
     loop: ["Loop", async () => (await import("./loop.js")).loop],
+    drive: ["Drive", async () => (await import("./drive.js")).drive],
 };
 const place = document.getElementById("room"), nav = document.querySelector("nav");
 let shown = null, turn = 0, missed = false;
