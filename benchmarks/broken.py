@@ -22,13 +22,13 @@ from onebend.lab.virtual import (
     VirtualBench,
     VirtualRecording,
     from_base,
-    observe_from_truth,
     observe_virtual,
     tag_poses,
     virtual_recording,
 )
 from onebend.learning.posterior import Posterior, stiffness_of
 from onebend.records import Array, ForceNoise, Observations
+from tests.lab.from_truth import observe_from_truth
 
 CLEAN = ("correlated", "bias", "clock", "tags", "everything")  # kinds of errors that the fit allows for
 CUTOFF = 4.0  # Hz, of the low-pass where clock and contact are taken from the truth

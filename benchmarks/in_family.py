@@ -16,7 +16,7 @@ from onebend.beam.model import Beam
 from onebend.beam.stiffness import LogSpline
 from onebend.lab.bench import ForceSensor, PushProfile
 from onebend.lab.designs import force_that_bends
-from onebend.lab.virtual import VirtualBench, observe_from_truth, virtual_recording
+from onebend.lab.virtual import VirtualBench, virtual_recording
 from onebend.learning.allowances import EVERY_ALLOWANCE
 from onebend.learning.fit_data import FitData, fit_data
 from onebend.learning.hyperparameters import Evidence
@@ -33,6 +33,7 @@ from onebend.learning.normal import JUMP, RHO, SPREAD, TAU, Draws, stiffness_mix
 from onebend.learning.parameters import Layout, Priors, Spline, make_layout
 from onebend.learning.prediction import predict
 from onebend.records import Array, ForceNoise, Observations
+from tests.lab.from_truth import observe_from_truth
 
 COLOURED, MEMORY, WALK, WHITE = 0.02, 0.3, 0.004, 0.004  # parts of the largest force; s
 CLOCK = 0.01  # s

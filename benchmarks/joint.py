@@ -18,9 +18,10 @@ from dataclasses import replace
 import numpy as np
 
 from onebend.lab.random_bench import BenchRanges, random_bench, random_push
-from onebend.lab.virtual import observe_from_truth, virtual_recording
+from onebend.lab.virtual import virtual_recording
 from onebend.learning.posterior import fit
 from onebend.progress import available_cores
+from tests.lab.from_truth import observe_from_truth
 
 COUNTS = (1, 3, 10, 30, 100)
 S = np.linspace(0.02, 0.98, 49)

@@ -15,12 +15,13 @@ import numpy as np
 from onebend.beam.grid import Modes
 from onebend.beam.stiffness import Table
 from onebend.lab.random_bench import PLACES, BenchRanges, random_bench, random_push
-from onebend.lab.virtual import observe_from_truth, virtual_recording
+from onebend.lab.virtual import virtual_recording
 from onebend.learning.allowances import BETWEEN_SD
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
 from onebend.progress import available_cores, leave_interrupts_to_parent, one_blas_thread
 from onebend.records import Array, BoolArray
+from tests.lab.from_truth import observe_from_truth
 
 _SHAPES: Array = Modes(len(BETWEEN_SD)).curvature(PLACES)
 S = np.linspace(0.02, 0.98, 49)

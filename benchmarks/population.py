@@ -17,14 +17,10 @@ from onebend.many.batch import run_batch, summary_of, write_batch
 from onebend.many.population import (
     Curves,
     Fit,
-    Tolerance,
     banded,
     differences,
     fit,
-    foretold,
     group_means,
-    half_band,
-    inside_of,
     outliers,
     read_batch,
     shares,
@@ -56,8 +52,6 @@ def main(trials: int = TRIALS, learned: int = LEARNED) -> None:
     """The tables of the page."""
     coverage(trials)
     repeated(max(trials // 10, 2))
-    foretelling(max(trials // 10, 2))
-    judgements(max(trials // 5, 2))
     if learned:
         through_learning(learned)
 
@@ -132,52 +126,6 @@ def repeated(trials: int) -> None:
     print("| --- | --- | --- |")
     for i, name in enumerate(("repeatability", "share between groups")):
         print(f"| {name} | {100 * np.mean(hits, axis=0)[i]:.0f} | {np.median(values, axis=0)[i]:.2f} |")
-    print()
-
-
-def foretelling(trials: int) -> None:
-    """The half band foretold from few objects, over that of the trial with more."""
-    everywhere, found = np.ones(PLACES, dtype=bool), []
-    for i in range(trials):
-        truth = replace(truth_of(np.random.default_rng([3, i])), sizes=(20,))
-        large = made(truth, 30_000 + i).trial
-        whole = half_band(group_means(fit(large)), 0, everywhere)
-        rows = np.arange(6)
-        log_k, covariance = large.log_k[rows], large.covariance[rows]
-        few = replace(large, log_k=log_k, covariance=covariance, object_of=rows, group_of=large.group_of[rows])
-        small = fit(few)
-        found.append(foretold(small, group_means(small), 0, everywhere)[19] / whole)
-    low, middle, high = np.quantile(found, [0.1, 0.5, 0.9])
-    print("## How many objects\n")
-    print(f"The half band of 20 objects, foretold from 6, over the one that is found ({trials} trials): median")
-    print(f"{middle:.2f}, 10 to 90 %: {low:.2f} to {high:.2f}.\n")
-
-
-def judgements(trials: int) -> None:
-    """Errors of pass and fail against those that are expected; the tolerance knows nothing of the truth."""
-    wrong, expected, count = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((2, 2))
-    for i in range(trials):
-        truth = replace(truth_of(np.random.default_rng([4, i])), sizes=(8,))
-        one = made(truth, 40_000 + i)
-        rng, large = np.random.default_rng([6, i]), int(truth.level_sd > truth.noise)
-        wide = truth.noise * float(np.exp(rng.uniform(np.log(0.5), np.log(8.0))))
-        centre = one.means[0] + wide * rng.uniform(-2.0, 2.0)
-        band = Tolerance(one.trial.s, np.exp(centre - wide), np.exp(centre + wide))
-        inside = inside_of(shrunken(fit(one.trial)), one.trial.s, 0.0, band)
-        right = np.all(np.abs(one.objects - centre) < wide, axis=1)
-        for j, judged in enumerate((inside >= 0.5, inside < 0.5)):
-            count[large, j] += judged.sum()
-            wrong[large, j] += np.sum(judged & (right if j else ~right))
-            expected[large, j] += np.sum((inside if j else 1.0 - inside)[judged])
-    print("## Pass and fail\n")
-    print(f"{trials} trials of eight objects; limits 0.5 to 8 times the fits' errors either way, about a centre")
-    print("anywhere near the mean.\n")
-    print("| spread within groups | judged | objects | wrong [%] | expected to be wrong [%] |")
-    print("| --- | --- | --- | --- | --- |")
-    for large, spread in enumerate(("below the fits' errors", "above")):
-        for j, name in enumerate(("pass", "fail")):
-            shares = (100.0 * values[large, j] / max(count[large, j], 1.0) for values in (wrong, expected))
-            print(f"| {spread} | {name} | {count[large, j]:.0f} | {' | '.join(f'{one:.1f}' for one in shares)} |")
     print()
 
 

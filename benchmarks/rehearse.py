@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.simulated_runs import Obtained, SimulatedRun, obtained_of, simulate
 from onebend.lab.forecast import PredictedBand, Setup, Tolerances, advise, known_beam, predict, setup_of
 from onebend.lab.random_bench import CameraName, FilmRequest, SensorName
-from onebend.lab.rehearsal import Obtained, SimulatedRun, obtained_of, simulate
 from onebend.records import Array
 
 KEPT = Path(__file__).parents[1] / "out" / "rehearse"

@@ -19,7 +19,7 @@ from onebend.errors import LearningError, MechanicsError, ObservationError, Reco
 from onebend.lab.bench import PushProfile
 from onebend.lab.designs import force_that_bends
 from onebend.lab.random_bench import PLACES, BenchRanges, random_bench
-from onebend.lab.virtual import VirtualBench, observe_from_truth, observe_virtual, virtual_recording
+from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
 from onebend.learning.frames import at_frames
 from onebend.learning.instruments import instruments_of, setup_of
 from onebend.learning.optimizer import FitSettings
@@ -29,6 +29,7 @@ from onebend.learning.sensing.sense import Sensed, SenseSettings, sense
 from onebend.records import PLACE_SD, Array, BoolArray
 from onebend.report.sentences import worded
 from onebend.results.model import StoredModel, read_model, save_model
+from tests.lab.from_truth import observe_from_truth
 
 ROOT = Path(__file__).parents[1]
 BENCHES = BenchRanges(fps=(15.0,))

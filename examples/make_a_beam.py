@@ -9,20 +9,20 @@ import math
 import sys
 from pathlib import Path
 
-from onebend.lab import Design, Expected, Sheet, expect, silicone, tag_pages, width_table, write_pages
+from onebend.lab import Design, Expected, Sheet, expect, from_shore_a, tag_pages, width_table, write_pages
 
 
 def main(folder: Path) -> Expected:
-    product = silicone("Dragon Skin 20")
+    silicone = from_shore_a(20.0)
     design = Design(
         name="soft-middle",
         length=0.16,
         depth=0.025,
         width=width_table((0.0, 0.4, 0.55, 0.7, 1.0), (0.016, 0.014, 0.009, 0.014, 0.016)),
-        modulus=product.stiffness.modulus,
-        modulus_log_sd=product.stiffness.log_sd,
-        density=product.density,
-        source=product.stiffness.source,
+        modulus=silicone.modulus,
+        modulus_log_sd=silicone.log_sd,
+        density=1080.0,
+        source=silicone.source,
     )
     expected = expect(design)
     for one in expected.bends:

@@ -20,12 +20,16 @@ settings.register_profile(
 settings.load_profile("same")
 
 _COUNT = itertools.count()
-LONGEST = {"test_outcomes.py", "test_end_to_end.py", "test_drive.py"}
+LONGEST = (
+    "test_outcomes.py", "test_drive.py", "test_end_to_end.py", "test_export.py", "test_rehearsal.py", "test_batch.py",
+    "test_help_examples.py", "test_push_place.py", "test_live.py", "test_push_errors.py", "test_attacked.py",
+    "test_rooms_page.py", "test_page.py", "test_filming_page.py", "test_extras.py", "test_killed.py",
+)  # fmt: skip
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest files come first: of several processes none has one of them left at the end."""
-    items.sort(key=lambda item: item.path.name not in LONGEST)
+    """The longest files come first, in this order: of several processes none has one of them left at the end."""
+    items.sort(key=lambda item: LONGEST.index(name) if (name := item.path.name) in LONGEST else len(LONGEST))
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -144,7 +144,6 @@ SECTIONS: dict[str, str] = {
     "calibration": "the-calibration-is-weak",
     "picture failed": "a-picture-could-not-be-drawn",
     "changed file": "a-file-was-changed",
-    "no browser": "no-browser-was-found",
 }
 
 

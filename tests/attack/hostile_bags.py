@@ -144,25 +144,27 @@ ROWS = "".join(f"INSERT INTO messages(topic_id, timestamp) VALUES(1, {i});" for 
 HUGE = "data BLOB /**/ AS /**/ (zeroblob(900000000))"
 COMPUTED = f"CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, {HUGE});"
 TYPES = [
-    Case("a type that holds itself", declared("WrenchStamped inner\nfloat64 x"), "holds itself"),
-    Case("types that hold each other", declared("A a" + parts(("A", "B b"), ("B", "A a"))), "holds itself"),
-    Case("a list of itself", declared("WrenchStamped[] inner"), "holds itself"),
+    Case("a type that holds itself", declared("WrenchStamped inner\nfloat64 x"), "is not known"),
+    Case("types that hold each other", declared("A a" + parts(("A", "B b"), ("B", "A a"))), "is not known"),
+    Case("a list of itself", declared("WrenchStamped[] inner"), "is not known"),
     Case("an array without end", declared("float64[100000000000] x"), "an array of 100000000000 entries"),
     Case("an array of texts", declared("string[1000000000] x"), "an array of 1000000000 entries"),
     Case("a size of 5000 digits", declared(f"float64[{'9' * 5000}] x"), "is none"),
     Case(
         "arrays of arrays",
         declared("A[1000] a" + parts(*((a, f"{b}[1000] b") for a, b in pairwise(LETTERS)), ("G", "int8 x"))),
-        "more than 20000 fields",
+        "an array of 1000 entries",
     ),
-    Case("doubling types", declared("A1 a\nA1 b" + parts(*DOUBLED, ("A28", "uint8 x"))), "more than 20000 fields"),
+    Case("doubling types", declared("A1 a\nA1 b" + parts(*DOUBLED, ("A28", "uint8 x"))), "is no "),
     Case("doubling types of nothing", declared("A1 a\nA1 b" + parts(*DOUBLED, ("A28", EMPTY_ROW))), "is no "),
-    Case("a list of nothing", declared("E[] a" + parts(("E", EMPTY_ROW)), data=HEAD + b"\xff" * 4), "without a field"),
+    Case(
+        "a list of nothing",
+        declared("E[] a" + parts(("E", EMPTY_ROW)), data=HEAD + b"\xff" * 4),
+        "Invalid sequence length",
+    ),
     Case("a list of 4e9 numbers", declared("float64[] a", data=HEAD + b"\xff" * 4), "Invalid sequence length"),
     Case("a list of 4e9 texts", declared("string[] a", data=HEAD + b"\xff" * 4), "Invalid sequence length"),
-    Case(
-        "3000 levels", declared("A0 a" + parts(*((f"A{i}", f"A{i + 1} a") for i in range(900)))), "nested|not defined"
-    ),
+    Case("3000 levels", declared("A0 a" + parts(*((f"A{i}", f"A{i + 1} a") for i in range(900)))), "is not known"),
     Case("a definition of 5 MB", declared("float64 x\n" * 500_000), "is none"),
     Case("a line of 1 MB", declared("float64 " + "x" * 1_000_000), "is none"),
     Case("a type's name that is code", declared("float64 x", name=f"a/msg/X\n{CODE}\n#"), r"a/msg/X\\n"),

@@ -42,7 +42,6 @@ REQUESTS: dict[str, list[object]] = {
     "a film of no number": ["film", "linear", "-o", "f", "-q", "--seconds", "nan"],
     "a rate of 1e9": ["film", "linear", "-o", "f", "-q", "--fps", 1e9],
     "a rehearsal of 30 years": ["rehearse", "linear", "-o", "r", "-q", "--seconds", 1e9],
-    "rehearsals by the billion": ["rehearse", "linear", "-o", "r", "-q", "--runs", 10**9],
     "processes by the billion": ["rehearse", "linear", "-o", "r", "-q", "--jobs", 10**9],
     "a push at the clamp": ["rehearse", "linear", "-o", "r", "-q", "--push-at", 1e-308],
     "tags by the billion": ["tags", "-o", "t.pdf", "--ids", "0-999999999"],

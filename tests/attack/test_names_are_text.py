@@ -179,7 +179,7 @@ def seen() -> Overview:
 def test_the_screens_take_any_name(seen: Overview, name: str) -> None:
     stream = io.StringIO()
     console = text_alone(Console(file=stream, width=100, color_system=None, highlight=False))
-    show_run(console, named(made_up.findings(1), name), Path("out"), verbose=True)
+    show_run(console, named(made_up.findings(1), name), Path("out"))
     show_overview(console, replace(seen, name=name))
     text = stream.getvalue()
     assert not ACTING & set(text)

@@ -145,12 +145,20 @@ def test_a_goal_within_the_error_of_the_length_takes_no_great_force() -> None:
     force = np.array([[0.0, 0.1]])
     goal = tips(sure, force)[0] + [5e-4, 0.0]
     found = reach_in_setup(BEAM, KNOWN, replace(sure, covariance=covariance), goal)
+    assert not found.converged
+    assert "no force meets the goal" in found.reason
     assert found.predicted.holds(goal)
     assert found.error < 6e-4
     assert abs(found.reached[1] - goal[1]) < 3e-4  # what the beam can do, it does
     np.testing.assert_allclose(found.force, force[0], atol=0.1)
+    drifting = replace(sure, covariance=covariance, force_sd=0.01)
+    error = reach_in_setup(BEAM, KNOWN, drifting, goal)
+    assert error.error < 0.01 * BEAM.length
+    assert error.predicted.ellipse().semi_axes[0] > 0.02 * BEAM.length
     with pytest.raises(ControlError):
         reach_in_setup(BEAM, KNOWN, sure, goal)
+    with pytest.raises(ControlError):  # the place says nothing of the goal
+        reach_in_setup(BEAM, KNOWN, replace(drifting, force_sd=0.2), goal)
 
 
 def test_a_push_elsewhere_is_a_new_contact_on_the_beam() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from dataclasses import replace
@@ -19,23 +18,16 @@ from onebend.beam.stiffness import Powers, Uniform
 from onebend.cli import app
 from onebend.errors import MechanicsError
 from onebend.lab.designs import (
-    BALL_RADIUS,
     DESIGNS,
     GRAVITY,
-    SILICONES,
-    TRAVEL,
     Design,
-    ModulusEstimate,
     across_depth,
     bend,
     buckling_force,
     expect,
     find_design,
-    from_shore_00,
     from_shore_a,
-    from_stress_100,
     read_design,
-    silicone,
     template,
     write_design_template,
 )
@@ -77,27 +69,10 @@ def test_the_band_is_the_modulus_alone() -> None:
     design = DESIGNS["cubic"]
     band = design.uncertain().band(S)
     np.testing.assert_allclose(np.log(band.high / band.low), 2 * 1.959964 * design.modulus_log_sd, rtol=1e-6)
-    assert design.of(ModulusEstimate(1e6, 0.0, "given")).uncertain().gain_sd == 0.0
+    assert replace(design, modulus_log_sd=0.0).uncertain().gain_sd == 0.0
 
 
-def test_hardness_relations_state_their_scatter_against_the_makers_figures() -> None:
-    away = []
-    for each in SILICONES.values():
-        if math.isfinite(each.stress_100):
-            by = (from_shore_a if each.scale == "A" else from_shore_00)(each.shore)
-            maker = each.stiffness
-            away.append(math.log(by.modulus / maker.modulus) / math.hypot(by.log_sd, maker.log_sd))
-    assert len(away) == 7
-    assert max(map(abs, away)) < 2.0
-    assert 0.4 < math.sqrt(np.mean(np.square(away))) < 1.3  # neither too sure nor too shy
-
-
-def test_relations_keep_their_physics() -> None:
-    soft = from_shore_00(30.0)
-    depth = TRAVEL * 0.7
-    assert 4.0 / 3.0 * soft.modulus / (1.0 - 0.5**2) * BALL_RADIUS**0.5 * depth**1.5 == pytest.approx(0.203 + 0.2724)
-    modulus = 3.0e5
-    assert from_stress_100(modulus / 3.0 * (2.0 - 0.5**2)).modulus == pytest.approx(modulus)
+def test_the_relation_of_hardness_is_gents() -> None:
     assert from_shore_a(30.0).modulus == pytest.approx(1.142e6, rel=1e-3)
     assert from_shore_a(10.0).log_sd > 1.5 * from_shore_a(25.0).log_sd  # outside the relation's range
     rising = [from_shore_a(shore).modulus for shore in range(5, 96)]
@@ -150,7 +125,7 @@ def test_the_buckling_force_is_where_the_straight_beam_stops_being_stable() -> N
 
 def test_forces_scale_with_the_modulus_and_shapes_do_not() -> None:
     soft = DESIGNS["linear"]
-    stiff = soft.of(ModulusEstimate(3.0 * soft.modulus, 0.1, "given"))
+    stiff = replace(soft, modulus=3.0 * soft.modulus)
     one, other = bend(soft, 1.2), bend(stiff, 1.2)
     assert other.force == pytest.approx(3.0 * one.force, rel=1e-8)
     np.testing.assert_allclose(one.tip, other.tip, atol=1e-9)
@@ -193,9 +168,9 @@ def test_every_way_to_say_a_width_or_a_material(tmp_path: Path) -> None:
     straight = read_design(path)
     np.testing.assert_allclose(straight.width(S), 0.01 + 0.02 * np.abs(S - 0.5), atol=1e-15)
     assert np.max(np.abs(np.log(straight.uncertain().profile(S) / straight.beam().stiffness(S)))) < 1e-6
-    path.write_text(text.replace("shore_a = 30", 'silicone = "ecoflex 00-30"\nmodulus_log_sd = 0.05'), encoding="utf-8")
+    path.write_text(text.replace("shore_a = 30", "shore_a = 10\nmodulus_log_sd = 0.05"), encoding="utf-8")
     soft = read_design(path)
-    assert (soft.modulus, soft.density) == (silicone("Ecoflex 00-30").stiffness.modulus, 1070.0)
+    assert (soft.modulus, soft.density) == (from_shore_a(10.0).modulus, 1080.0)
     assert soft.modulus_log_sd == 0.05
     path.write_text(text.replace("shore_a = 30", "modulus_Pa = 7e5\ndensity_kg_m3 = 1200"), encoding="utf-8")
     assert (read_design(path).modulus, read_design(path).density) == (7e5, 1200.0)
@@ -213,9 +188,8 @@ def test_every_way_to_say_a_width_or_a_material(tmp_path: Path) -> None:
         ("[0.0, 0.5, 1.0]", "[0.0, 0.0, 1.0]", "must rise"),
         ("0.01, 0.02]", "-0.01, 0.02]", "each entry is a number above 0"),
         ("# polynomial_m", "polynomial_m", "not both"),
-        ("# modulus_Pa", "modulus_Pa", "not shore_a and modulus_Pa"),
+        ("# modulus_Pa", "modulus_Pa", "shore_a or modulus_Pa, not both"),
         ("shore_a = 30", "", "and has none"),
-        ("shore_a = 30", 'silicone = "Dragon Skim 30"', "Did you mean 'Dragon Skin 30'"),
         ("[material]", "[materials]", r"lacks the table \[material\]"),
         ("length_m = 0.15", "length_m = 0.15.2", "not valid TOML"),
         ("length_m = 0.15", "length_m = nan", "must be a number above 0"),
@@ -230,22 +204,14 @@ def test_mistakes_in_a_design_are_said_with_their_place(tmp_path: Path, old: str
 
 
 def test_the_command_says_what_the_functions_find(tmp_path: Path) -> None:
-    files = [tmp_path / name for name in ("d.csv", "d.png", "model.json")]
-    asked = ["design", "quadratic", "--silicone", "Dragon Skin 20", "--csv", str(files[0]), "--picture", str(files[1])]
-    done = CliRunner().invoke(app, [*asked, "--model", str(files[2]), "--json"])
+    model = tmp_path / "model.json"
+    done = CliRunner().invoke(app, ["design", "quadratic", "--model", str(model), "--json"])
     assert done.exit_code == 0, done.output
-    product = silicone("Dragon Skin 20")
-    design = DESIGNS["quadratic"].of(product.stiffness, product.density)
+    design = DESIGNS["quadratic"]
     said, expected = json.loads(done.stdout), expect(design)
     assert said["mass_kg"] == pytest.approx(design.mass)
     assert [one["force_N"] for one in said["bends"]] == pytest.approx([one.force for one in expected.bends])
-    with files[0].open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    np.testing.assert_allclose(
-        [float(r["EI_N_m2"]) for r in rows], design.bending(np.linspace(0.0, 1.0, 201)), rtol=1e-8
-    )
-    assert files[1].read_bytes().startswith(b"\x89PNG")
-    np.testing.assert_allclose(read_model(files[2]).beam.stiffness(S), design.beam().stiffness(S), rtol=1e-9)
+    np.testing.assert_allclose(read_model(model).beam.stiffness(S), design.beam().stiffness(S), rtol=1e-9)
     shown = CliRunner().invoke(app, ["design", "quadratic"], env={"COLUMNS": "120"}).stdout
     assert "buckles at" in shown
     assert "0.227" in shown  # N, for 30 degrees, Shore A 30
@@ -256,8 +222,6 @@ def test_the_command_says_what_the_functions_find(tmp_path: Path) -> None:
     [
         (["design"], "name a design"),
         (["design", "cubik"], "Did you mean 'cubic'"),
-        (["design", "cubic", "--shore-a", "30", "--modulus-kPa", "700"], "give one of"),
-        (["design", "cubic", "--shore-zero", "99"], "holds from 5 to 95"),
         (["design", "none.toml"], "does not exist"),
     ],
 )

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.simulated_runs import SimulatedRun, benches, obtained_of, simulate
 from onebend.cli import app
-from onebend.errors import MechanicsError, OnebendError, RecordingError
+from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.designs import DESIGNS
 from onebend.lab.forecast import (
     BASIS,
@@ -24,24 +25,12 @@ from onebend.lab.forecast import (
     information_of,
     instruments,
     known_beam,
-    known_exactly,
     predict,
     ranges,
     setup_of,
-    uncertainty_budget,
 )
 from onebend.lab.random_bench import FilmRequest
-from onebend.lab.rehearsal import (
-    COLUMNS,
-    SimulatedRun,
-    benches,
-    obtained_of,
-    rehearsal_figure,
-    rehearse,
-    simulate,
-    summary_of,
-    write_table,
-)
+from onebend.lab.rehearsal import COLUMNS, rehearsal_figure, rehearse, summary_of, write_table
 from onebend.learning.design import STEPS
 from onebend.learning.normal import Draws, InformationForm, stiffness_mixture
 from onebend.records import PLACE_SD, Array
@@ -85,29 +74,26 @@ def test_band_and_bias_are_those_of_the_fits_own_posterior() -> None:
 @pytest.mark.parametrize("setup", [CUBIC, UNIFORM], ids=["cubic", "uniform"])
 def test_predicted_band_is_that_of_fits(setup: Setup) -> None:
     """Steps and bumps of k widen the band, an even k narrows it: as in fits of simulated recordings."""
-    fits = simulate(setup, range(3))
+    fits = simulate(setup, range(2))
     assert not any(fit.failure for fit in fits)
-    sd = np.median([fit.sd for fit in fits], axis=0)
+    sd = np.mean([fit.sd for fit in fits], axis=0)
     assert np.median(predict(setup).sd / sd) == pytest.approx(1.0, abs=0.08)
 
 
 def test_more_information_never_widens_the_band() -> None:
-    now, used = predict(WRIST), instruments(WRIST)
+    used = instruments(WRIST)
     along_pushes = derivatives(WRIST, used)
     whole = information_of(WRIST, used, along_pushes)
-    for better in known_exactly(used).values():
+    sds = ("gain_sd", "direction_sd", "place_sd", "placement_sd", "origin_sd", "turn_sd", "clamp_sd", "clock_sd")
+    for better in (replace(used, **{name: 1e-3 * getattr(used, name)}) for name in sds):
         gained = information_of(WRIST, better, along_pushes) - whole
         assert np.min(np.linalg.eigvalsh(gained)) > -1e-6 * np.max(np.abs(whole))
-    for entry in uncertainty_budget(WRIST, now):
-        assert 0.0 <= entry.share < 1.0
-        assert entry.mean_width <= now.quality.mean_width * 1.001
 
 
 def test_with_one_clock_no_error_of_it_is_left() -> None:
     one = replace(WRIST, clock_sd=0.0)
     used = instruments(one)
     assert used.clock_sd == 0.0
-    assert "clock" not in known_exactly(used)
     assert predict(one).quality.mean_width < predict(WRIST).quality.mean_width
     with pytest.raises(RecordingError, match="clock's sd"):
         setup_of(known_beam("linear"), [FilmRequest()], known_to=Tolerances(clock_sd=-0.01))
@@ -151,18 +137,8 @@ def test_a_pushs_own_errors_move_the_tags_as_equilibria_say() -> None:
         assert np.max(error) < 3e-4 * np.max(np.abs(expected)), i
 
 
-def test_budget_names_a_pushs_own_errors() -> None:
-    vague = replace(WRIST, sensor=replace(WRIST.sensor, gain_sd=0.0, reversal=0.3))
-    shares, before = (
-        {entry.name: entry.share for entry in uncertainty_budget(setup, predict(setup))} for setup in (vague, WRIST)
-    )
-    assert shares["push's place"] > 0.0
-    assert shares["force's bias and slow error"] > before["force's bias and slow error"]
-
-
 def test_an_unknown_gain_costs_most_and_its_calibration_is_advised() -> None:
     vague = replace(WRIST, sensor=replace(WRIST.sensor, gain_sd=0.2))
-    assert uncertainty_budget(vague, predict(vague))[0].name == "force's gain"
     changes = advise(vague, predict(vague))
     assert {one.kind for one in changes[:2]} == {"gain", "sensor"}
     shares = [one.share for one in changes]
@@ -241,12 +217,7 @@ def test_ranges_are_those_of_the_mask() -> None:
 )
 def test_nonsense_is_refused(tags: tuple[float, ...], asked: FilmRequest, says: str) -> None:
     with pytest.raises((RecordingError, MechanicsError), match=says):
-        rehearse(setup_of(known_beam("quadratic"), [asked], tags=tags), runs=0)
-
-
-def test_counts_that_cannot_be_are_refused() -> None:
-    with pytest.raises(OnebendError, match="runs >= 0"):
-        rehearse(WRIST, runs=-1)
+        rehearse(setup_of(known_beam("quadratic"), [asked], tags=tags))
 
 
 def test_a_learned_model_can_be_rehearsed(tmp_path: Path) -> None:
@@ -257,7 +228,7 @@ def test_a_learned_model_can_be_rehearsed(tmp_path: Path) -> None:
 
 
 def test_files_hold_what_was_found(tmp_path: Path) -> None:
-    found = rehearse(WRIST, runs=0, count=2)
+    found = rehearse(WRIST, count=2)
     write_table(tmp_path, found)
     draw({"rehearsal": partial(rehearsal_figure, found)}).write(tmp_path)
     rows = (tmp_path / "rehearsal.csv").read_text(encoding="utf-8").splitlines()
@@ -266,13 +237,12 @@ def test_files_hold_what_was_found(tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs" / "plan.md").read_text(encoding="utf-8")
     assert all(f"`{column}`" in page for column in COLUMNS)
     summary = json.loads(to_json(summary_of(found, written_by="a test")))
-    assert summary["obtained"] is None
     assert len(summary["advice"]) == 2
     assert {path.name for path in tmp_path.iterdir()} == {"rehearsal.csv", "rehearsal.png"}
 
 
 def test_command_line() -> None:
-    asked = ["rehearse", "linear", "--sensor", "wrist", "--tags", "0.4,1", "--runs", "0", "-q"]
+    asked = ["rehearse", "linear", "--sensor", "wrist", "--tags", "0.4,1", "-q"]
     twice = ["--push-at", "1", "--push-at", "0.7"]
     told = CliRunner().invoke(app, asked)
     assert told.exit_code == 0

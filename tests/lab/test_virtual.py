@@ -17,12 +17,12 @@ from onebend.lab.virtual import (
     VirtualClock,
     VirtualRecording,
     VirtualTag,
-    observe_from_truth,
     observe_virtual,
     virtual_recording,
 )
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
+from tests.lab.from_truth import observe_from_truth
 
 pytestmark = pytest.mark.usefixtures("no_other_places")
 

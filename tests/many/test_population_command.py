@@ -81,12 +81,10 @@ def test_a_batch_is_read_as_it_was_written(tmp_path: Path) -> None:
 
 def test_what_is_shown_and_written(tmp_path: Path) -> None:
     one = batch(tmp_path / "learned")
-    (tmp_path / "band.csv").write_text("s,low_N_m,high_N_m\n0,0.05,0.2\n0.8,0.03,0.2\n")
     out = tmp_path / "out"
-    options = ("-o", out, "--tolerance", tmp_path / "band.csv", "-q")
+    options = ("-o", out, "-q")
     done = run(tmp_path / "learned", *options)
     assert done.exit_code == 0, done.output
-    assert "objects pass" in done.stdout
     assert "lost" in done.stdout
     ends = {f"{name}.{end}" for name in TABLES for end in ("parquet", "csv")}
     assert {path.name for path in out.iterdir()} == ends | {"report.html", "summary.json"}
@@ -101,14 +99,13 @@ def test_what_is_shown_and_written(tmp_path: Path) -> None:
     page = (out / "report.html").read_text(encoding="utf-8")
     assert NASTY not in page
     assert "&lt;b&gt;wet" in page
-    assert page.count("<img") == 4
+    assert page.count("<img") == 3
     refused(run(tmp_path / "learned", *options), "--force")
     again = run(tmp_path / "learned", *options, "--force", "--json")
     assert again.exit_code == 0, again.output
     summary = json.loads(again.stdout)
     assert [one["objects"] for one in summary["groups"]] == [4, 4]
     assert summary["spread"]["repeatability"]["value"] is None
-    assert summary["tolerance"]["objects"] == 8
 
 
 def test_pandas_reads_every_table(tmp_path: Path) -> None:
@@ -141,7 +138,6 @@ def test_what_cannot_be_met_is_said(tmp_path: Path) -> None:
     batch(tmp_path / "learned")
     refused(run(tmp_path / "learned", "--by", "colour", *out), "no column 'colour'", "plant")
     refused(run(tmp_path / "learned", "--by", "name", *out), "8 objects in 8 groups")
-    refused(run(tmp_path / "learned", "--tolerance", tmp_path / "none.csv", *out), "none.csv")
     assert not (tmp_path / "out").exists()
     batch(tmp_path / "mixed", plant=[*(f"plant {i % 4}" for i in range(8)), "plant 0"])
     with pytest.raises(ResultsError, match="the object 'plant 0' is in the groups"):

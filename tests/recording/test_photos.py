@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -128,27 +127,10 @@ def test_mistakes_are_named(tmp_path: Path, spoil: object, words: list[str]) -> 
         assert word in str(told.value)
 
 
-@pytest.mark.parametrize(("name", "new"), [("IMG 1.HEIC", "IMG 1.jpg"), ("IMG_1.jpg", "IMG_1-converted.jpg")])
-def test_a_heic_picture_is_named_with_the_command_that_converts_it(tmp_path: Path, name: str, new: str) -> None:
-    """Some telephones and programs also call such a picture .jpg: its first bytes tell."""
-    made = folder_of(tmp_path / "a b", loads=LOADS.replace("2.png", name))
-    picture_file = made / "photos" / name
-    picture_file.write_bytes(bytes.fromhex("0000001c") + b"ftypheic" + bytes(4) + b"mif1heicmiaf" + bytes(100))
-    with pytest.raises(RecordingError) as told:
-        observe(made)
-    text = str(told.value)
-    assert text.startswith(f"{picture_file} is an HEIC picture")
-    (command,) = [one for one in text.split("`") if one.startswith("heif-convert")]
-    assert shlex.split(command) == [
-        "heif-convert", "-q", "100", str(picture_file), str(made / "photos" / new)
-    ]  # fmt: skip
-    assert "column pose" in text
-
-
 @pytest.mark.parametrize(
     "content",
-    [b"", b"\x00\x00\x00\x1cftypisom" + bytes(40), b"no picture at all, heic or not"],
-    ids=["empty", "another film", "text"],
+    [b"", b"\x00\x00\x00\x1cftypheic" + bytes(40), b"no picture at all, heic or not"],
+    ids=["empty", "HEIC", "text"],
 )
 def test_what_is_no_picture_is_said_to_be_none(tmp_path: Path, content: bytes) -> None:
     made = folder_of(tmp_path)

@@ -40,9 +40,9 @@ def measured(section: StatedSection | None, *, fitted: bool = True) -> MeasuredB
     return measured_beam(findings(section, fitted=fitted))
 
 
-def screen(section: StatedSection | None, *, fitted: bool = True, verbose: bool = False) -> str:
+def screen(section: StatedSection | None, *, fitted: bool = True) -> str:
     console = Console(file=io.StringIO(), width=110, color_system=None)
-    show_run(console, findings(section, fitted=fitted), Path("out"), verbose=verbose)
+    show_run(console, findings(section, fitted=fitted), Path("out"))
     assert isinstance(console.file, io.StringIO)
     return console.file.getvalue()
 
@@ -57,7 +57,7 @@ def test_rows_are_the_band_in_one_unit() -> None:
 
 
 def test_the_screen_has_the_modulus_below_k() -> None:
-    text = screen(BAR, verbose=True)
+    text = screen(BAR)
     rows = modulus_rows(measured(BAR), S)
     assert rows is not None
     table = next(line for line in text.splitlines() if line.lstrip().startswith("E [MPa]"))
@@ -68,7 +68,7 @@ def test_the_screen_has_the_modulus_below_k() -> None:
 
 @pytest.mark.parametrize("fitted", [True, False])
 def test_of_an_unknown_section_nothing_is_shown(fitted: bool) -> None:
-    text = screen(None, fitted=fitted, verbose=True) + page(findings(None, fitted=fitted), {}, version="1")
+    text = screen(None, fitted=fitted) + page(findings(None, fitted=fitted), {}, version="1")
     assert "Young" not in text
     assert "E [" not in text
     assert modulus_rows(measured(None), S) is None

@@ -36,7 +36,6 @@ MOST_NEW = 100_000  # objects between garbage collections, which otherwise take 
 HELP = ("-h", "--help")
 OPTIONS = Path(__file__).parent / "options.json"
 UsageError: Any = typer.BadParameter.__mro__[1]  # of every wrong option; it has no public name
-COMPLETE = "_ONEBEND_COMPLETE"  # Typer's variable for the completing shell
 
 
 COMMANDS = {
@@ -267,7 +266,6 @@ class Commands(TyperGroup):
 app = typer.Typer(
     cls=Commands,
     help="Learn how stiff a soft slender object is along its length from one filmed push.",
-    add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": [*HELP]},
@@ -280,43 +278,20 @@ def _say_version(asked: bool) -> None:
         raise typer.Exit
 
 
-def _print_completion(shell: str | None) -> None:
-    if shell is not None:
-        # here, as below: no public names of Typer, and seldom needed
-        from typer.completion import get_completion_script  # type: ignore[attr-defined]
-
-        typer.echo(get_completion_script(prog_name=NAME, complete_var=COMPLETE, shell=shell))
-        raise typer.Exit
-
-
 Version = Annotated[
     bool, typer.Option("--version", "-V", callback=_say_version, is_eager=True, help="Print the version.")
-]
-Completion = Annotated[
-    Literal["bash", "zsh", "fish"] | None,
-    typer.Option(
-        "--print-completion",
-        callback=_print_completion,
-        is_eager=True,
-        metavar="SHELL",
-        help="Print the script that completes commands and options in bash, zsh or fish.",
-    ),
 ]
 
 
 @app.callback()
-def _all_commands(*, version: Version = False, completion: Completion = None) -> None:
+def _all_commands(*, version: Version = False) -> None:
     pass
 
 
 def main() -> NoReturn:
-    """The entry point of `onebend`, also for shell completion."""
+    """The entry point of `onebend`."""
     gc.set_threshold(MOST_NEW)
     if not sys.warnoptions:  # onebend checks its numbers itself
         os.environ["PYTHONWARNINGS"] = "ignore::RuntimeWarning"  # of child processes
         warnings.simplefilter("ignore", RuntimeWarning)
-    if COMPLETE in os.environ:
-        from typer.completion import completion_init  # type: ignore[attr-defined]
-
-        completion_init()
     guarded(app, onebend.__version__)

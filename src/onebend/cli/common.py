@@ -6,7 +6,6 @@ import math
 import signal
 import sys
 import threading
-import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -21,9 +20,7 @@ from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress as RichProgress,
-    ProgressColumn,
     SpinnerColumn,
-    Task,
     TaskID,
     TextColumn,
     TimeRemainingColumn,
@@ -74,7 +71,6 @@ Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT", he
 Overwrite = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace earlier results in OUT.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object (SI units) and nothing else.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
-LogAxis = Annotated[bool, typer.Option("--log", help="Draw k(s) on a logarithmic axis.")]
 
 
 # The screen, on which names given by people are text only. Progress: bars on a screen, lines on a pipe.
@@ -104,16 +100,8 @@ def text_alone(console: Console) -> Console:
     return console
 
 
-class RateColumn(ProgressColumn):
-    def render(self, task: Task) -> Text:
-        elapsed = task.finished_time or task.elapsed
-        if not elapsed or not task.completed:
-            return Text("")
-        return Text(f"{task.completed / elapsed:.3g}/s", style="cyan")
-
-
 class Bars:
-    """A `Progress` with rate and time left; on a pipe, one line per stage. A context manager."""
+    """A `Progress` with time left; on a pipe, one line per stage. A context manager."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -122,7 +110,6 @@ class Bars:
             TextColumn("{task.description}"),
             BarColumn(bar_width=24),
             MofNCompleteColumn(),
-            RateColumn(),
             TimeRemainingColumn(elapsed_when_finished=True),
         )
         self._bars = RichProgress(*columns, console=console, disable=not console.is_terminal)
@@ -287,16 +274,6 @@ def save_results(
 
     with workplace(output, summary["format"], overwrite) as place:
         put_results(place, summary, tables, draw(wanted), inputs=inputs_of(read))
-
-
-def open_in_browser(page: Path) -> None:
-    """With a warning if there is no browser."""
-    try:
-        opened = webbrowser.open(page.resolve().as_uri())
-    except webbrowser.Error:
-        opened = False
-    if not opened:
-        say_warning(f"no browser was found. Open {page} in one.", about="no browser")
 
 
 def say_failed(failed: Mapping[str, str]) -> None:

@@ -55,7 +55,8 @@ def show_reach(
     x, y = 1e3 * result.reached[:2]
     angle = math.degrees(result.reached[2])
     table.add_row(f"point s = {result.point_s:.3g}", f"at ({x:.3f}, {y:.3f}) mm, tangent at {angle:.1f} deg")
-    table.add_row("from the goal", f"{length_words(result.error)} in the model, after {result.iterations} iterations")
+    why = f"after {result.iterations} iterations" if result.converged else result.reason
+    table.add_row("from the goal", f"{length_words(result.error)} in the model, {why}")
     table.add_row("sure to within", _sureness_of_goal(error, "band on k(s)" if bare else "set-up of the recording"))
     table.add_row("way there", f"{len(result.path) - 1} steps from rest, each a stable equilibrium on one branch")
     console.print(table)

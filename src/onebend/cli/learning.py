@@ -17,7 +17,7 @@ from rich.text import Text
 import onebend
 from onebend.cli import BY, common
 from onebend.cli.models import SetUpOptions, read_trusted
-from onebend.cli.screens import show_damping, show_frequencies, show_run, show_sensed, show_times, show_validation
+from onebend.cli.screens import show_damping, show_frequencies, show_run, show_sensed, show_validation
 from onebend.files.publish import amend
 from onebend.files.single_file import check_name_free, write_file
 from onebend.learning.design import Plan, PlanSettings
@@ -200,8 +200,6 @@ Observing = Annotated[ObserveSettings, Only(("threads", "epsilon"))]
 NoReport = Annotated[
     bool, typer.Option("--no-report", help="Write no report and no pictures; this saves a fifth of the time.")
 ]
-OpenReport = Annotated[bool, typer.Option("--open", help="Open the report in the browser.")]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Also print tables, nuisances, notes and times.")]
 
 
 def learn(
@@ -214,18 +212,13 @@ def learn(
     fitting: FitSettings,
     observing: Observing,
     overwrite: common.Overwrite = False,
-    verbose: Verbose = False,
-    log: common.LogAxis = False,
     no_report: NoReport = False,
-    open_report: OpenReport = False,
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
     out = output or Path(f"{folder_of(recordings[0]).resolve().name}-results")
     settings = replace(settings, method="paper" if method == "paper" else "regression")
     fit = fitting if method == "fit" else None
-    if no_report and open_report:
-        raise typer.BadParameter("--no-report writes no report to open. Leave one of the two out")
     frames = KeptFrames()
     with common.clean_errors(), common.workplace(out, learned_files.LEARN_FORMAT, overwrite) as place:
         inputs = inputs_of(recording_files([*recordings, *(validate_on or ())]))
@@ -254,18 +247,14 @@ def learn(
 
         put(None if no_report else Pictures())  # the fit is safe before pictures are drawn
         if not as_json:
-            show_run(common.screen(), run, out, verbose=verbose, log=log, report=not no_report)
+            show_run(common.screen(), run, out, report=not no_report)
         if not no_report:
             with common.progress_of(quiet) as progress:
                 pictures = draw_all(run, frames=frames, progress=progress)
             put(pictures)
-    seconds = {**run.stage_seconds, "report": time.perf_counter() - began}
     if as_json:
+        seconds = {**run.stage_seconds, "report": time.perf_counter() - began}
         common.print_json({**summary, "stage_seconds": seconds, "output": str(out)})
-    elif verbose:
-        show_times(common.screen(), run, seconds)
-    if open_report:
-        common.open_in_browser(out / "report.html")
 
 
 def draw_all(run: Run, *, frames: KeptFrames, progress: Progress) -> Pictures:

@@ -145,9 +145,12 @@ def new(
             text = path.read_text(encoding="utf-8")
             common.say(f"{path}: Enter leaves a line empty.")
             write_file(path, answered(text, ask), overwrite=True)
-        left = [str(place[-1]) for place, _, _ in empty_values(path.read_text(encoding="utf-8"))]
-    fill = f"Fill in {', '.join(dict.fromkeys(left))}; " if left else ""
-    common.say(f"Wrote {path}. {fill}{BESIDE[kind]}; then: onebend check {folder}")
+        text = path.read_text(encoding="utf-8")
+    left = dict.fromkeys(str(place[-1]) for place, _, _ in empty_values(text))
+    steps = [f"fill in {', '.join(left)}"] if left else []
+    there = all((folder / name).exists() for name in re.findall(r'^file = "(.+?)"', text, re.MULTILINE))
+    steps += [] if there and kind in ("video", "mocap") else [BESIDE[kind]]
+    common.say(f"Wrote {path}. Next: {'; '.join([*steps, f'onebend check {folder}'])}")
 
 
 def answered(text: str, ask: Callable[[Place, str], str]) -> str:

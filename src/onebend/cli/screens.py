@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,12 +16,10 @@ from rich.text import Text
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Band, UncertainStiffness, half_width_words
 from onebend.cli.common import facts_table, force_words, listing, remarks_list, say_written
-from onebend.learning.outcome import Comparison, Learned
-from onebend.learning.posterior import Nuisance, Posterior
+from onebend.learning.outcome import Comparison
 from onebend.learning.run import Run
 from onebend.learning.swing import Damping, FoundFrequencies, SwingFit
-from onebend.learning.verdict import fitted_rms
-from onebend.records import Array, BoolArray, Observations
+from onebend.records import Array, Observations
 from onebend.report import confidence, sentences
 from onebend.report.sentences import all_remarks, millimetres, pair_remarks, say, significant, worded
 from onebend.report.verdict import hopeless, validation_verdict, verdict_of
@@ -33,30 +31,7 @@ if TYPE_CHECKING:
     from onebend.learning.sensing.sensor import SensorCheck
 
 
-FEW = 4  # tags with columns side by side in 80
 WIDE = 91  # columns of a plot with eleven numbers below
-
-
-def selection_table(learned: Learned) -> Table:
-    """The (n, m) table; the chosen pair marked, excluded ones dimmed with the reason."""
-    names, errors = _trial_errors(learned)
-    title = f"{escape(learned.training.name)}: the paper's regression, RMS of the tags and BIC"
-    table = listing(title, "<", "n", "m", *names, "BIC")
-    table.add_column("", overflow="fold")
-    for i, trial in enumerate(learned.trials):
-        chosen = i == learned.chosen
-        cells = [str(trial.n), str(trial.m), *errors[i], sentences.bic_words(trial.bic)]
-        style = "bold green" if chosen else "dim" if trial.why_out else ""
-        table.add_row("➤" if chosen else "", *cells, escape("chosen" if chosen else trial.why_out), style=style)
-    return table
-
-
-def _trial_errors(learned: Learned) -> tuple[list[str], list[list[str]]]:
-    if len(learned.training.tag_id) <= FEW:
-        cells = [list(map(millimetres, trial.rms)) for trial in learned.trials]
-        return [f"tag {tag}\n[mm]" for tag in learned.training.tag_id], cells
-    worst = [float(np.max(np.nan_to_num(trial.rms, nan=-1.0))) for trial in learned.trials]
-    return ["worst tag [mm]"], [[millimetres(rms) if rms >= 0.0 else sentences.UNKNOWN] for rms in worst]
 
 
 def comparison_table(comparisons: Sequence[Comparison], what: str) -> Table:
@@ -121,48 +96,17 @@ def half_widths(band: Band) -> list[str]:
     return [half_width_words(float(half)).removeprefix("± ").replace("a factor of ", "x ") for half in halves]
 
 
-def nuisance_table(nuisances: Sequence[Nuisance]) -> Table:
-    """Nuisances before and after the data; beyond 2 sd in colour."""
-    table = listing("Fitted with k(s)", "<", "value", "sd before", "sd after", gap=2)
-    table.add_column("", no_wrap=True)
-    for row in confidence.nuisance_rows(nuisances):
-        style = "yellow" if row.moved > 2.0 else ""
-        table.add_row(escape(row.name), row.value, row.before, row.after, row.unit, style=style)
-    return table
-
-
-def allowance_table(posterior: Posterior) -> Table:
-    """Allowances and their effect on k(s); those that matter in bold."""
-    table = Table(title="Allowed for", title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column("", overflow="fold")
-    for name in ("widens the band by", "ignoring it shifts k(s) by", "sds from zero"):
-        table.add_column(name, justify="right")
-    for row in confidence.allowance_rows(posterior):
-        table.add_row(row.name, row.widening, row.change, row.sds, style="bold" if row.matters else "")
-    return table
-
-
-def stages_table(seconds: Mapping[str, float], video_seconds: float) -> Table:
-    table = listing(f"Time (the video plays {video_seconds:.1f} s)", "<stage", "s", "of the video")
-    *stages, total = sentences.stage_rows(seconds)
-    for name, value in (*stages, total):
-        cells = (escape(name), f"{value:.2f}", sentences.percent(value, video_seconds))
-        table.add_row(*cells, style="bold" if name is total[0] else "")
-    return table
-
-
 MOST = 4.0  # times k: a wider band may leave the plot
 CURVE, BAND = ("-", "━"), ("·", "░")  # not identified, identified
 
 
-def band_plot(
-    known: UncertainStiffness | Beam, *, columns: int = 61, rows: int = 12, log: bool = False
-) -> RenderableType:
+def band_plot(known: UncertainStiffness | Beam, *, columns: int = 61, rows: int = 12) -> RenderableType:
     """k(s) in its 95 % band (of a beam alone without one), thin and grey where not identified."""
     s = np.linspace(0.0, 1.0, columns)
     band, sure = band_of(known, s), isinstance(known, UncertainStiffness)
     shown = known.best_known(s) if isinstance(known, UncertainStiffness) else band.identified
-    edges = _edges(band, shown, rows, log=log)
+    top = max(min(1.05 * float(np.max(band.high[shown])), MOST * float(np.max(band.k[shown]))), 0.0)
+    edges = np.linspace(0.0, top, rows + 1)
     lines = []
     for row in range(rows - 1, -1, -1):
         low, high = edges[row], edges[row + 1]
@@ -176,15 +120,6 @@ def band_plot(
     unknown = "" if band.identified.all() else "; - and (): not identified"
     heading = Text(f"k(s) = EI / L [N m]{', with its 95 % band' if sure else ''}{unknown}", "italic")
     return Group(heading, *lines, Text(" " * 9 + "└" + "─" * columns, "dim"))
-
-
-def _edges(band: Band, shown: BoolArray, rows: int, *, log: bool) -> Array:
-    """(rows + 1,) N m: edges of the plot's rows, lowest first."""
-    top = max(min(1.05 * float(np.max(band.high[shown])), MOST * float(np.max(band.k[shown]))), 0.0)
-    if log and float(np.min(band.k)) > 0.0:
-        low = max(float(np.min(band.low[shown])) / 1.05, float(np.min(band.k[shown])) / MOST)
-        return np.asarray(np.geomspace(low, top, rows + 1))
-    return np.linspace(0.0, top, rows + 1)
 
 
 def _mark(row: int, rows: int, edges: Array) -> str:
@@ -333,27 +268,20 @@ _COLOURS = {"holds": "green", "holds with allowances": "green", "not to be trust
 _FEWEST_ROWS, _MOST_ROWS = 6, 16  # of the plot
 
 
-def show_run(
-    console: Console, run: Run, out: Path, *, verbose: bool = False, log: bool = False, report: bool = True
-) -> None:
-    """The answer of `onebend learn`; `verbose`: everything."""
-    if verbose:
-        for part in _everything(run):
-            console.print(part)
-            console.print()
+def show_run(console: Console, run: Run, out: Path, *, report: bool = True) -> None:
+    """The answer of `onebend learn`."""
     console.print(verdict_rows(run))
     console.print()
-    for part in [] if hopeless(run) else _stiffness(console, run, log=log):
+    for part in [] if hopeless(run) else _stiffness(console, run):
         console.print(part)
     console.print()
     remarks = all_remarks(run)
     warnings = [pair for pair in remarks if pair[1].level == "warning"]
-    if warnings and not verbose:
+    if warnings:
         console.print(remarks_list(warnings, title=None))
-    if (notes := len(remarks) - len(warnings)) and not verbose:
+    if notes := len(remarks) - len(warnings):
         what = "1 note is" if notes == 1 else f"{notes} notes are"
-        where = "in the report, or here" if report else "shown"
-        console.print(f"[dim]{what} {where} with --verbose[/]")
+        console.print(f"[dim]{what} in {'the report' if report else 'summary.json'}[/]")
     say_path(console, "report" if report else "results", out / "report.html" if report else out)
 
 
@@ -368,7 +296,7 @@ def verdict_rows(run: Run) -> Table:
     return table
 
 
-def _stiffness(console: Console, run: Run, *, log: bool) -> list[RenderableType]:
+def _stiffness(console: Console, run: Run) -> list[RenderableType]:
     columns = min(max((console.width - 19) // 10, 4), 10) * 10 + 1
     rows = min(max(console.height - 18, _FEWEST_ROWS), _MOST_ROWS)
     measured = confidence.measured_beam(run)
@@ -377,58 +305,7 @@ def _stiffness(console: Console, run: Run, *, log: bool) -> list[RenderableType]
     known = run.beam if run.posterior is None else run.posterior.stiffness
     modulus = None if run.posterior is None else confidence.modulus_rows(measured, band_places(columns))
     numbers = band_table(known, columns=columns, modulus=modulus)
-    return [band_plot(known, columns=columns, rows=rows, log=log), numbers, *below]
-
-
-def _everything(run: Run) -> list[RenderableType]:
-    parts: list[RenderableType] = []
-    if run.learned is not None:
-        parts.append(selection_table(run.learned))
-    if run.posterior is not None:
-        parts += _fit(run, run.posterior)
-    seen = not sentences.only_frequencies(run.recordings)
-    if seen:
-        parts.append(comparison_table(run.trainings, "Learned from, force as logged"))
-    if seen and run.posterior is not None:
-        parts.append(_sentences(_as_logged_words(run, run.posterior)))
-    if run.validations:
-        parts.append(comparison_table(run.validations, "Validation"))
-    return [*parts, remarks_list(all_remarks(run))]
-
-
-def _as_logged_words(run: Run, posterior: Posterior) -> list[str]:
-    words = []
-    for comparison, rms in zip(run.trainings, fitted_rms(posterior), strict=True):
-        largest = sentences.millimetres(float(np.nanmax(rms)))
-        text = f"{comparison.name}: the fit itself is within {largest} mm RMS of every tag."
-        if not comparison.static:
-            text += " The table is larger by the slow error of the force log, which the fit takes off."
-        words.append(text)
-    return words
-
-
-def _fit(run: Run, posterior: Posterior) -> list[RenderableType]:
-    uncertain = posterior.stiffness
-    blind = confidence.unidentified_words(uncertain, len(run.recordings))
-    found: list[RenderableType] = []
-    force = [
-        confidence.scale_words(posterior.gain_sd, run.recordings),
-        *confidence.load_error_words(posterior.load_error),
-    ]
-    if len(run.recordings) > 1:
-        force.append(confidence.mounting_words(posterior))
-    found.append(_sentences([*blind, *force, f"The fit {confidence.stop_words(posterior)}."]))
-    if posterior.attributions:
-        found.append(allowance_table(posterior))
-    found.append(nuisance_table(posterior.nuisances()))
-    if words := confidence.tradeoff_words(posterior):
-        found.append(_sentences(["Hardly told apart (mean log k(s): over the identified places):", *words]))
-    return found
-
-
-def show_times(console: Console, run: Run, seconds: Mapping[str, float]) -> None:
-    console.print()
-    console.print(stages_table(seconds, run.video_seconds))
+    return [band_plot(known, columns=columns, rows=rows), numbers, *below]
 
 
 def _sentences(words: Sequence[str]) -> Text:
@@ -453,12 +330,12 @@ def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observat
         say_path(console, "\ntables and figures", out)
 
 
-def show_model(console: Console, stored: StoredModel, *, log: bool = False) -> None:
+def show_model(console: Console, stored: StoredModel) -> None:
     beam, origin, uncertain = stored.beam, stored.origin, stored.uncertain
     measured = confidence.MeasuredBeam(beam, uncertain, stored.section)
     known = beam if uncertain is None else uncertain
     modulus = None if uncertain is None else confidence.modulus_rows(measured, band_places(61))
-    console.print(band_plot(known, log=log))
+    console.print(band_plot(known))
     console.print(band_table(known, columns=61, modulus=modulus))
     for text in () if uncertain is None else confidence.unidentified_words(uncertain):
         console.print(text, markup=False)

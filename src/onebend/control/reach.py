@@ -577,7 +577,7 @@ _SHARES = np.array([0.1, 0.3, 0.5, 0.75, 1.0, 1.5, 2.5])  # of the largest force
 _AROUND = 24  # directions
 _STEP, _LONGEST, _MOST_TRIALS, _SHORTER = 1e-3, 0.3, 20, 0.3  # the first two likewise
 _NOWHERE = 1e3  # sds: where the beam does not stand
-_SURE = 0.02  # of the length: the larger semi-axis of the error of a force that does not meet the goal
+_NEARLY, _KNOWN = 0.02, 0.1  # of the length: largest distance from a goal that is not met, and its larger semi-axis
 _MOST_STARTS_IN_SETUP = 12
 _ON_THE_WAY = 20
 
@@ -596,7 +596,16 @@ class ReachInSetUp:
     iterations: int
     predicted: PredictedError  # of the point
 
-    converged, reason, stable, moment, nearest = True, "reached", True, 0.0, None  # as of `Reach`
+    stable, moment, nearest = True, 0.0, None  # as of `Reach`
+
+    @property
+    def converged(self) -> bool:
+        """Whether the point is on its goal under the most probable k(s) and set-up."""
+        return self.error < _MET * self.beam.length
+
+    @property
+    def reason(self) -> str:
+        return "reached" if self.converged else "no force meets the goal; the 95 % ellipse of this one contains it"
 
     @property
     def force(self) -> Array:
@@ -646,9 +655,9 @@ def reach_in_setup(
 
     The goal is in the frame of the recording. `new`: what is another one now, its parts drawn from their priors.
     `push_s`: default as in the recording. The error is that of `draws` from the joint posterior. `uncertain` is the
-    band of `beam`. If no force up to 1.5 times the largest of the recording meets the goal, but the 95 % ellipse of a
-    smaller one contains it, that one is the answer. Raises `ControlError` where the goal cannot be reached, and as
-    `reach`.
+    band of `beam`. If no force up to 1.5 times the largest of the recording meets the goal, but a smaller one comes
+    within 2 % of the length of it, and the 95 % ellipse of that one contains the goal, that one is the answer
+    (`converged` is false). Raises `ControlError` where the goal cannot be reached, and as `reach`.
     """
     wanted, point = checked_goal(goal, settings), np.array([point_s])
     now = setup.renewed(new, push_s=push_s, length=beam.length)
@@ -679,8 +688,9 @@ def reach_in_setup(
         with contextlib.suppress(ControlError):  # of that force alone
             spread = answer(np.zeros(2), 0).predicted.covariance
             smaller = answer(*_likely_in_setup(bent, wanted, point, largest, spread))
-            sure = smaller.predicted.ellipse().semi_axes[0] < _SURE * beam.length
-            if sure and smaller.predicted.holds(wanted):
+            near = smaller.error < _NEARLY * beam.length
+            known = smaller.predicted.ellipse().semi_axes[0] < _KNOWN * beam.length
+            if near and known and smaller.predicted.holds(wanted):
                 return smaller
     if exact is None:
         alone = reach(beam, wanted, push_s=now.push_s, point_s=point_s, settings=settings)

@@ -36,7 +36,7 @@ COMMANDS = {
     "rehearse": Place(
         "onebend.lab.rehearsal_commands:rehearse",
         "Predict how well a push would determine k(s), before filming it, and rank improvements.",
-        "linear --runs 0",
+        "linear",
         group="Lab",
     ),
 }

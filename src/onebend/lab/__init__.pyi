@@ -11,19 +11,17 @@ from .designs import (
     Design as Design,
     Expected as Expected,
     ModulusEstimate as ModulusEstimate,
-    Silicone as Silicone,
     TipBend as TipBend,
     design_named as design_named,
     expect as expect,
     force_that_bends as force_that_bends,
+    from_shore_a as from_shore_a,
     random_stiffness as random_stiffness,
     read_design as read_design,
-    silicone as silicone,
     width_table as width_table,
 )
 from .filming import Filming as Filming, film as film
 from .forecast import (
-    BudgetEntry as BudgetEntry,
     KnownBeam as KnownBeam,
     PredictedBand as PredictedBand,
     Setup as Setup,
@@ -33,7 +31,7 @@ from .forecast import (
     setup_of as setup_of,
 )
 from .random_bench import FilmRequest as FilmRequest, filming_of as filming_of
-from .rehearsal import Obtained as Obtained, Rehearsal as Rehearsal, SimulatedRun as SimulatedRun, rehearse as rehearse
+from .rehearsal import Rehearsal as Rehearsal, rehearse as rehearse
 from .rendering import Camera as Camera, Scene as Scene
 from .rod import RodMotion as RodMotion
 from .sheet import Sheet as Sheet, tag_pages as tag_pages, write_pages as write_pages
@@ -44,7 +42,6 @@ from .virtual import (
     VirtualClock as VirtualClock,
     VirtualRecording as VirtualRecording,
     VirtualTag as VirtualTag,
-    observe_from_truth as observe_from_truth,
     observe_virtual as observe_virtual,
     true_stiffness as true_stiffness,
     virtual_recording as virtual_recording,

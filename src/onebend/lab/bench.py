@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from math import isfinite, sqrt
 
 import numpy as np
@@ -70,22 +69,6 @@ class RealBench:
         """Whether any effect changes the motion of the beam or the place of the push."""
         sizes = (self.thickness, self.relaxation, self.clamp_compliance, self.slide, self.push_off)
         return any(sizes) or any(self.rest_turn) or self.patch_factor != 1.0 or self.inertia
-
-
-def effects_named(named: Sequence[str], before: RealBench = RealBench()) -> RealBench:
-    """`before` with effects set from NAME=SIZE (scalar fields of `RealBench`, its units). Raises `RecordingError`:
-    unknown name or invalid size."""
-    known = [one.name for one in fields(RealBench) if one.type == "float"]
-    sizes: dict[str, float] = {}
-    for text in named:
-        name, _, size = text.partition("=")
-        if name not in known:
-            raise RecordingError(f"there is no effect {name!r}. Take of {', '.join(known)}.")
-        try:
-            sizes[name] = float(size)
-        except ValueError:
-            raise RecordingError(f"an effect is given as NAME=SIZE, got {text!r}") from None
-    return replace(before, **sizes)  # type: ignore[arg-type]
 
 
 def patch_ends(effects: RealBench, length: float, tags: Array) -> Array:

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, replace
-from functools import partial
-from io import StringIO
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 import typer
-from matplotlib.figure import Figure
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -22,19 +19,14 @@ from onebend.cli import BY, common
 from onebend.errors import MechanicsError, reference
 from onebend.files.single_file import write_files
 from onebend.lab import designs
-from onebend.lab.bench import PATCH_OVER_TAG, effects_named
 from onebend.lab.filming import Filming, check, check_trackable, film as make_film, marker_recording
 from onebend.lab.random_bench import LABORATORY, BenchRanges, FilmRequest, design_with_effects, filming_of, random_bench
 from onebend.lab.sheet import Sheet, files_of, strip_page, tag_pages
 from onebend.options import option
 from onebend.recording.entries import FAMILIES
 from onebend.recording.folder import read_recording
-from onebend.report.pictures import Draw, draw
 from onebend.report.sentences import say, significant, worded
-from onebend.report.style import BLUE, INK, blank, styled
 from onebend.results.model import StoredModel, model_text
-from onebend.results.tables import PLACES, csv_rows
-from onebend.text_files import figure_text
 
 Design = Annotated[
     str,
@@ -52,19 +44,11 @@ class FilmOptions:
     """What a film shows beside the push."""
 
     effects: bool = option("--effects", False, "Effects of real benches, drawn at random: stretch, relaxation ...")
-    effect: tuple[str, ...] = option(
-        "--effect",
-        (),
-        "One effect of a real bench with its size in SI units, as relaxation=0.1; may be repeated.",
-        metavar="NAME=SIZE",
-    )
     markers: bool = option("--markers", False, "Tracked markers instead of a film; takes a second. Slow pushes only.")
     seed: int = option("--seed", 0, "The same seed makes the same files.", metavar="N", within=(0, None))
 
 
 FILM_FORMAT, DESIGN_FORMAT, TAGS_FORMAT = "onebend-film-1", "onebend-design-1", "onebend-tags-1"
-COLUMNS = ("s", "width_m", "EI_N_m2", "k_N_m", "mass_kg_m")  # of a design
-MM = 1e3  # of a metre
 DRAWN = "random"
 
 
@@ -79,10 +63,6 @@ def film(
 ) -> None:
     with common.clean_errors(), common.progress_of(quiet) as progress:
         filming, folder = _filming(design, request, asked.seed, output, asked.effects)
-        if asked.effect:
-            bench, patch = filming.bench, PATCH_OVER_TAG * filming.tag_size
-            before = bench.effects if asked.effects else replace(bench.effects, patch_length=patch)
-            filming = replace(filming, bench=replace(bench, effects=effects_named(asked.effect, before)))
         check(filming, folder)
         if asked.markers:
             check_trackable(filming)
@@ -168,20 +148,14 @@ DesignName = Annotated[
 NewDesign = Annotated[
     Path | None, typer.Option("--new", metavar="FILE", help="Write a design file to fill in, and nothing else.")
 ]
+DesignModel = Annotated[
+    Path | None, typer.Option("--model", metavar="FILE", help="Write the designed beam as a model.json.")
+]
 StripOf = Annotated[
     Path | None, typer.Argument(metavar="[REC]", help="A recording: its tags, and a page with their places.")
 ]
 SheetFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="A .pdf, or one .svg per page.")]
 ReplaceFiles = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace files that are there.")]
-
-
-@dataclass(frozen=True)
-class DesignFiles:
-    """Files that a design is written to."""
-
-    csv: Path | None = option("--csv", None, "Write s, width, EI, k and mass per metre.", metavar="FILE")
-    picture: Path | None = option("--picture", None, "Write a picture (PNG).", metavar="FILE")
-    model: Path | None = option("--model", None, "Write the designed beam as a model.json.", metavar="FILE")
 
 
 @dataclass(frozen=True)
@@ -195,33 +169,6 @@ class TagOptions:
     family: str | None = option("--family", None, "Default: tag36h11.", metavar="FAMILY")
     rim: float = option("--rim-cells", 1.0, "White around the black square.", metavar="N", within=(1.0, common.MOST))
     page: Literal["a4", "letter"] = option("--page", "a4", "Size of the paper.")
-    cut_marks: bool = option("--no-cut-marks", True, "Leave the cut marks out.")
-    labels: bool = option("--no-labels", True, "Leave the numbers out.")
-
-
-@dataclass(frozen=True)
-class Casting:
-    silicone: str | None = option("--silicone", None, 'Cast of this product, such as "Dragon Skin 30".', metavar="NAME")
-    shore_a: float | None = option("--shore-a", None, "Cast of a silicone of this hardness, scale A.", metavar="A")
-    shore_zero: float | None = option(
-        "--shore-zero", None, "Cast of a silicone of this hardness, scale 00.", metavar="00"
-    )
-    modulus: float | None = option(
-        "--modulus-kPa", None, "Cast of a material of this modulus.", metavar="E", within=(1e-3, 1e9)
-    )
-
-    def of(self, design: designs.Design) -> designs.Design:
-        """The design in this material. Raises `MechanicsError`: more than one field is given."""
-        if sum(value is not None for value in (self.silicone, self.shore_a, self.shore_zero, self.modulus)) > 1:
-            raise MechanicsError("give one of --silicone, --shore-a, --shore-zero and --modulus-kPa")
-        if self.silicone is not None:
-            product = designs.silicone(self.silicone)
-            return design.of(product.stiffness, product.density)
-        if self.shore_a is not None:
-            return design.of(designs.from_shore_a(self.shore_a))
-        if self.shore_zero is not None:
-            return design.of(designs.from_shore_00(self.shore_zero))
-        return design if self.modulus is None else design.of(designs.ModulusEstimate(self.modulus, 0.0, "given"))
 
 
 MOST_TAGS = 1000
@@ -232,8 +179,7 @@ def design(
     name: DesignName = None,
     *,
     new: NewDesign = None,
-    cast: Casting,
-    files: DesignFiles,
+    model: DesignModel = None,
     overwrite: ReplaceFiles = False,
     as_json: common.Json = False,
 ) -> None:
@@ -243,9 +189,11 @@ def design(
             return
         if name is None:
             raise MechanicsError("name a design: uniform, linear, quadratic, cubic, or a file (--new FILE writes one)")
-        found = cast.of(designs.find_design(name))
+        found = designs.find_design(name)
         expected = designs.expect(found)
-        write_files(_design_files(found, files), overwrite=overwrite)
+        if model is not None:
+            text = model_text(StoredModel(found.beam(), None, found.uncertain()), written_by=BY)
+            write_files({model: text}, overwrite=overwrite)
     common.answer(
         as_json,
         {"format": DESIGN_FORMAT, "written_by": BY, **expected.as_dict()},
@@ -272,7 +220,7 @@ def tags(
         else:
             numbers = tuple(tag.id for tag in (*known.tags.on_base, *known.tags.on_beam))
             side, named = known.tags.size, known.tags.family
-        sheet = Sheet(numbers, side, named, asked.rim, asked.page, asked.cut_marks, asked.labels)
+        sheet = Sheet(numbers, side, named, asked.rim, asked.page)
         pages = tag_pages(sheet)
         if known is not None:
             pages = (*pages, strip_page(known, page=asked.page, rim=asked.rim))
@@ -304,53 +252,3 @@ def parse_ids(text: str) -> tuple[int, ...]:
             )
         found += range(first, last + 1)
     return tuple(found)
-
-
-def _design_files(found: designs.Design, asked: DesignFiles) -> dict[Path, str | bytes]:
-    files: dict[Path, str | bytes] = {}
-    if asked.csv is not None:
-        files[asked.csv] = design_csv(found)
-    files |= _picture(asked.picture, partial(design_figure, found))
-    if asked.model is not None:
-        files[asked.model] = model_text(StoredModel(found.beam(), None, found.uncertain()), written_by=BY)
-    return files
-
-
-def design_csv(design: designs.Design) -> str:
-    """The design at 201 places."""
-    s = np.linspace(0.0, 1.0, PLACES)
-    columns = (s, design.width(s), design.bending(s), design.along.stiffness(s), design.along.mass_per_length(s))
-    text = StringIO(newline="")
-    csv_rows(text, COLUMNS, ([f"{value:.9g}" for value in row] for row in zip(*columns, strict=True)))
-    return text.getvalue()
-
-
-@styled
-def design_figure(design: designs.Design) -> Figure:
-    """The cast outline to scale, and k(s) with the band of the modulus."""
-    s = designs.DENSE
-    figure, (outline, stiffness) = blank(4.2, rows=2, height_ratios=(1.0, 2.2))
-    x, half = MM * design.length * s, 0.5 * MM * np.asarray(design.width(s))
-    outline.fill_between(x, -half, half, color=BLUE, alpha=0.25, linewidth=0.0)
-    outline.plot(x, half, color=BLUE)
-    outline.plot(x, -half, color=BLUE)
-    sizes = f"{MM * design.length:g} mm long, {MM * design.depth:g} mm deep"
-    outline.set(aspect="equal", xlabel="along the beam [mm]", ylabel="across [mm]")
-    outline.set_title(f"{figure_text(design.name)}: {sizes}")
-    k = np.asarray(design.along.stiffness(s))
-    stiffness.plot(s, k, color=INK)
-    if design.modulus_log_sd > 0.0:
-        wide = np.exp(half_width(design.modulus_log_sd))
-        stiffness.fill_between(s, k / wide, k * wide, color=INK, alpha=0.15, linewidth=0.0, label="95 %, modulus alone")
-        stiffness.legend()
-    stiffness.set(xlim=(0.0, 1.0), ylim=(0.0, None), xlabel="place along the beam s", ylabel="k [N m]")
-    stiffness.set_title(f"E = {design.modulus / 1e6:.3g} MPa ({figure_text(design.source)})")
-    return figure
-
-
-def _picture(path: Path | None, make: Draw) -> dict[Path, str | bytes]:
-    if path is None:
-        return {}
-    pictures = draw({path.name: make})
-    common.say_failed(pictures.failed)
-    return {path: pictures.drawn[path.name]} if pictures.drawn else {}

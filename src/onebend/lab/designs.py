@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -34,20 +33,17 @@ from onebend.errors import MechanicsError, ResultsError
 from onebend.files.single_file import write_file
 from onebend.learning.outcome import Notice
 from onebend.progress import one_blas_thread
-from onebend.recording.schema import Check, Mistakes, key, keys_of, number, one_of, read_table, report_unknown, text
+from onebend.recording.schema import Check, Mistakes, key, keys_of, number, one_of, read_table, report_unknown
 from onebend.records import Array
 from onebend.text_files import read_toml
 
-# Young's modulus of castable silicones, from hardness or from the maker's tensile data. Each estimate carries an sd of
-# log E: its scatter against the makers' figures below, and the usual tolerance of a hardness.
+# Young's modulus of castable silicones from hardness. It carries an sd of log E: the relation's scatter against makers'
+# figures, and the usual tolerance of a hardness.
 
-PSI = 6894.757  # Pa
 HARDNESS_SD = 2.5  # points; makers allow +-5
-GENT_FIT, HERTZ_FIT, STRESS_FIT = 0.25, 0.5, 0.2  # sd of log E of the three relations in their range
-GENT_RANGE, SHORE_A_RANGE, SHORE_00_RANGE = (20.0, 80.0), (5.0, 95.0), (5.0, 95.0)
-BEYOND_GENT = 0.5  # sd of log E outside GENT_RANGE
+GENT_FIT, BEYOND_GENT = 0.25, 0.5  # sd of log E of the relation, in its range and outside
+GENT_RANGE, SHORE_RANGE = (20.0, 80.0), (5.0, 95.0)
 TYPICAL_DENSITY = 1080.0  # kg/m^3, unfilled castable silicone
-BALL_RADIUS, TRAVEL = 1.19e-3, 2.54e-3  # m, indenter of type 00 and its travel (ASTM D2240)
 
 
 @dataclass(frozen=True)
@@ -57,105 +53,20 @@ class ModulusEstimate:
     source: str  # one line
 
 
-@dataclass(frozen=True)
-class Silicone:
-    """A product, from its maker's data sheet."""
-
-    name: str
-    shore: float
-    scale: str  # "A" or "00"
-    stress_100: float  # Pa, nominal stress at 100 % stretch; NaN: not given
-    density: float  # kg/m^3
-    maker: str
-
-    @property
-    def stiffness(self) -> ModulusEstimate:
-        """From the stress at 100 % stretch if known, else from the hardness."""
-        if math.isfinite(self.stress_100):
-            return from_stress_100(self.stress_100, f"{self.name}, stress at 100 % stretch by {self.maker}")
-        by = from_shore_a if self.scale == "A" else from_shore_00
-        estimate = by(self.shore)
-        return ModulusEstimate(estimate.modulus, estimate.log_sd, f"{self.name}: {estimate.source}")
-
-
-def _silicone(name: str, shore: float, scale: str, psi: float, density: float, maker: str = "Smooth-On") -> Silicone:
-    return Silicone(name, shore, scale, psi * PSI, density, maker)
-
-
-# Makers' bulletins: hardness, "100 % modulus" [psi], specific gravity.
-SILICONES = {
-    silicone.name: silicone
-    for silicone in (
-        _silicone("Ecoflex 00-10", 10.0, "00", 8.0, 1040.0),
-        _silicone("Ecoflex 00-20", 20.0, "00", 8.0, 1070.0),
-        _silicone("Ecoflex 00-30", 30.0, "00", 10.0, 1070.0),
-        _silicone("Ecoflex 00-50", 50.0, "00", 12.0, 1070.0),
-        _silicone("Dragon Skin 10", 10.0, "A", 22.0, 1070.0),
-        _silicone("Dragon Skin 20", 20.0, "A", 49.0, 1080.0),
-        _silicone("Dragon Skin 30", 30.0, "A", 86.0, 1080.0),
-        _silicone("Elastosil M 4601", 28.0, "A", math.nan, 1130.0, "Wacker"),
-        _silicone("Sylgard 184", 43.0, "A", math.nan, 1030.0, "Dow"),
-    )
-}
-
-
-def silicone(name: str) -> Silicone:
-    """Case-insensitive. Raises `MechanicsError`: unknown name."""
-    known = {each.lower(): each for each in SILICONES}
-    if name.lower() not in known:
-        near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.4)
-        hint = f"Did you mean {known[near[0]]!r}? " if near else ""
-        raise MechanicsError(
-            f"no data of a silicone named {name!r}. {hint}Known: {', '.join(SILICONES)}. "
-            "For another give its Shore hardness or its modulus."
-        )
-    return SILICONES[known[name.lower()]]
-
-
 def from_shore_a(shore: float) -> ModulusEstimate:
     """E from Shore A: A. N. Gent, Rubber Chem. Technol. 31 (1958) 896, a rigid flat punch on a half-space.
 
     Derived for 20 to 80; used from 5 to 95 with a wider band. Raises `MechanicsError`: a hardness outside 5 to 95.
     """
-    _check(shore, SHORE_A_RANGE, "A")
+    if not SHORE_RANGE[0] <= shore <= SHORE_RANGE[1]:
+        raise MechanicsError(
+            f"Shore A {shore:g}: the relation to a modulus holds from {SHORE_RANGE[0]:g} to {SHORE_RANGE[1]:g}. "
+            "Give the modulus"
+        )
     modulus = 0.0981e6 * (56.0 + 7.62336 * shore) / (0.137505 * (254.0 - 2.54 * shore))
     per_point = 7.62336 / (56.0 + 7.62336 * shore) + 1.0 / (100.0 - shore)
     fit = GENT_FIT if GENT_RANGE[0] <= shore <= GENT_RANGE[1] else BEYOND_GENT
     return ModulusEstimate(modulus, math.hypot(fit, per_point * HARDNESS_SD), f"Shore A {shore:g} by Gent (1958)")
-
-
-def from_shore_00(shore: float) -> ModulusEstimate:
-    """E from Shore 00: Hertz (1882), the ball and spring of ASTM D2240 on an incompressible half-space.
-
-    The ball sinks deeper than Hertz assumes, so the result is good to a factor of about 1.6 only. Raises
-    `MechanicsError`: a hardness outside 5 to 95.
-    """
-    _check(shore, SHORE_00_RANGE, "00")
-    force, depth = 0.203 + 0.00908 * shore, TRAVEL * (1.0 - shore / 100.0)
-    modulus = force / (16.0 / 9.0 * math.sqrt(BALL_RADIUS) * depth**1.5)
-    per_point = 0.00908 / force + 1.5 / (100.0 - shore)
-    return ModulusEstimate(
-        modulus, math.hypot(HERTZ_FIT, per_point * HARDNESS_SD), f"Shore 00-{shore:g} by Hertz and ASTM D2240"
-    )
-
-
-def from_stress_100(stress: float, source: str = "stress at 100 % stretch") -> ModulusEstimate:
-    """E at small strain from the nominal stress at 100 % stretch ("100 % modulus") [Pa] of a neo-Hookean rubber.
-
-    `stress = E / 3 (stretch - stretch^-2)` at stretch 2, so E = 12/7 stress (Treloar 1975). Raises `MechanicsError`: a
-    stress that is not positive.
-    """
-    if not (math.isfinite(stress) and stress > 0.0):
-        raise MechanicsError(f"a stress at 100 % stretch must be positive, got {stress} Pa")
-    return ModulusEstimate(12.0 / 7.0 * stress, STRESS_FIT, source)
-
-
-def _check(shore: float, allowed: tuple[float, float], scale: str) -> None:
-    if not allowed[0] <= shore <= allowed[1]:
-        raise MechanicsError(
-            f"Shore {scale} {shore:g}: the relation to a modulus holds from {allowed[0]:g} to {allowed[1]:g}. "
-            "Give the modulus, or the hardness on the scale that fits"
-        )
 
 
 PLACES = 2001  # where the width is checked
@@ -228,16 +139,6 @@ class Design:
         count = len(spline.c)
         return UncertainStiffness(knots, np.asarray(spline.c), np.zeros((count, count)), self.modulus_log_sd)
 
-    def of(self, stiffness: ModulusEstimate, density: float | None = None) -> Design:
-        """The same shape in another material."""
-        return replace(
-            self,
-            modulus=stiffness.modulus,
-            modulus_log_sd=stiffness.log_sd,
-            source=stiffness.source,
-            density=self.density if density is None else density,
-        )
-
 
 def _named(name: str, width: tuple[float, ...]) -> Design:
     by = from_shore_a(30.0)
@@ -277,7 +178,6 @@ def width_table(s: tuple[float, ...], width: tuple[float, ...]) -> Table:
 
 FORMAT = 1
 TABLES = ("beam", "width", "material")
-NO_NAME = ""
 
 
 def _numbers(least: int, item: Check) -> Check:
@@ -323,11 +223,9 @@ class WidthEntry:
 
 @dataclass(frozen=True)
 class MaterialEntry:
-    """[material]: a named silicone, a hardness, or a modulus."""
+    """[material]: a hardness, or a modulus."""
 
-    silicone: str = key('silicone = "Dragon Skin 30"', text, "a named silicone", NO_NAME)
-    shore_a: float = key("shore_a = 30", number(), "its hardness on scale A", math.nan)
-    shore_00: float = key("shore_00 = 30", number(), "its hardness on scale 00", math.nan)
+    shore_a: float = key("shore_a = 30", number(), "a silicone's hardness on scale A", math.nan)
     modulus: float = key("modulus_Pa = 7.0e5", number(above=0), "Young's modulus at small strain, Pa", math.nan)
     modulus_log_sd: float = key(
         "modulus_log_sd = 0.1",
@@ -431,26 +329,19 @@ def _material(table: Any, mistakes: Mistakes) -> tuple[ModulusEstimate, float] |
     entry = read_table(MaterialEntry, table, ("material",), mistakes)
     if entry is None:
         return None
-    ways: dict[str, tuple[bool, Callable[[], ModulusEstimate]]] = {
-        "silicone": (entry.silicone != NO_NAME, lambda: silicone(entry.silicone).stiffness),
-        "shore_a": (math.isfinite(entry.shore_a), lambda: from_shore_a(entry.shore_a)),
-        "shore_00": (math.isfinite(entry.shore_00), lambda: from_shore_00(entry.shore_00)),
-        "modulus_Pa": (math.isfinite(entry.modulus), lambda: ModulusEstimate(entry.modulus, 0.0, "given")),
-    }
-    given = [name for name, (there, _) in ways.items() if there]
-    if len(given) != 1:
-        said = f"not {' and '.join(given)}" if given else "and has none"
-        mistakes.add(("material",), f"[material] needs one of silicone, shore_a, shore_00 or modulus_Pa, {said}.")
+    hard, known = math.isfinite(entry.shore_a), math.isfinite(entry.modulus)
+    if hard == known:
+        said = "not both" if hard else "and has none"
+        mistakes.add(("material",), f"[material] needs shore_a or modulus_Pa, {said}.")
         return None
     try:
-        estimate = ways[given[0]][1]()
+        estimate = from_shore_a(entry.shore_a) if hard else ModulusEstimate(entry.modulus, 0.0, "given")
     except MechanicsError as wrong:
-        mistakes.add(("material", given[0]), f"[material] {wrong}.")
+        mistakes.add(("material", "shore_a"), f"[material] {wrong}.")
         return None
     log_sd = entry.modulus_log_sd if math.isfinite(entry.modulus_log_sd) else estimate.log_sd
-    usual = silicone(entry.silicone).density if entry.silicone else TYPICAL_DENSITY
-    density = entry.density if math.isfinite(entry.density) else usual
-    return ModulusEstimate(estimate.modulus, log_sd, estimate.source), density
+    density = entry.density if math.isfinite(entry.density) else TYPICAL_DENSITY
+    return replace(estimate, log_sd=log_sd), density
 
 
 TURNS_DEG = (30.0, 60.0, 90.0)

@@ -542,13 +542,6 @@ def in_room(pose: Array, base_angle: float) -> Array:
 
 
 S = np.linspace(0.0, 1.0, 401)
-MEANING = (
-    "k: EI/L as a static model finds it at best = k_instant x secant_modulus; k_instant: before anything relaxes, with "
-    "the tags' patches; k_bare: without patches. F: on the beam, in the clamp's frame, s_a its place; tag_xya, "
-    "tag_xyaz: in the room (clamp's frame turned by base), z towards the camera; tag_tilts: rad, of the face about the "
-    "beam's direction and upwards along it; camera_px: shift of the picture. All these as the first row of a frame is "
-    "exposed. log_F: without error, in the log's axes and with its sign"
-)
 
 
 @dataclass(frozen=True)
@@ -609,7 +602,6 @@ def facts_of(made: FilmTruth) -> dict[str, Any]:
         "beam": bench.name,
         "L": bench.beam.length,
         "seed": made.seed,
-        "physics": "equation of motion" if filming.swings else "statics",
         "eta": filming.damping,
         "s_a": bench.push.at_s,
         "clock": {
@@ -627,11 +619,8 @@ def facts_of(made: FilmTruth) -> dict[str, Any]:
         "tags": {"base": bench.base, "on_beam": [asdict(tag) for tag in bench.tags], "size": filming.tag_size},
         "force": {**asdict(bench.sensor), "rotation": filming.log_rotation, "reaction": filming.log_of_robot},
         "gravity": {"magnitude": filming.gravity, "base_angle": filming.base_angle},
-        "tip_angle_max_deg": float(np.degrees(np.max(np.abs(made.shown.poses[:, -1, 2])))),
-        "force_max_N": float(np.max(np.linalg.norm(bench.push.force(made.shown.time), axis=1))),
         "effects": asdict(bench.effects),
         "secant_modulus": 1.0 if made.motion is None else made.motion.secant,
-        "meaning": MEANING,
     }
 
 

@@ -13,7 +13,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from math import isfinite, isnan, nan
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -330,7 +329,6 @@ def _seconds(push: PushProfile) -> float:
 
 SPLINE = Spline(FUNCTIONS)
 BASIS = SPLINE.basis(planning.PLACES)
-_KNOWN_SHARE = 1e-3  # share of its sd left of a known nuisance
 _DRAWS = Draws(chains=36, burn=150, kept=100)  # of the prior's sizes: the band's sd is good to about 3 %
 
 
@@ -357,55 +355,11 @@ class PredictedBand:
         return np.asarray(np.hypot(self.scatter, self.bias))
 
 
-@dataclass(frozen=True)
-class BudgetEntry:
-    """One nuisance, and the band if it were known exactly."""
-
-    name: str
-    mean_width: float  # of the 95 % band of log k
-    share: float  # reduction of the band's mean width
-
-
 @one_blas_thread
 def predict(setup: Setup) -> PredictedBand:
     """Raises `MechanicsError`: the beam buckles or snaps through."""
     used = instruments(setup)
     return posterior_of(setup, used, information_of(setup, used, derivatives(setup, used)))
-
-
-@one_blas_thread
-def uncertainty_budget(setup: Setup, predicted: PredictedBand) -> tuple[BudgetEntry, ...]:
-    """The band with each nuisance known exactly in turn; the most costly first. Raises `MechanicsError`: as
-    `predict`."""
-    used = instruments(setup)
-    along_pushes = derivatives(setup, used)
-    now = predicted.quality.mean_width
-    entries = []
-    for name, better in known_exactly(used).items():
-        width = with_information(predicted, better, information_of(setup, better, along_pushes)).quality.mean_width
-        entries.append(BudgetEntry(name, width, max(1.0 - width / now, 0.0)))
-    return tuple(sorted(entries, key=lambda entry: -entry.share))
-
-
-def known_exactly(bench: Instruments) -> dict[str, Instruments]:
-    """By the name of the nuisance that is known."""
-    force, e = bench.force, _KNOWN_SHARE
-    better: dict[str, dict[str, Any]] = {
-        "force's gain": {"gain_sd": 0.0},
-        "force's noise": {"force": replace(force, frame=e * force.frame)},
-        "force's bias and slow error": {"force": replace(force.times(e), frame=force.frame)},
-        "force's axes": {"direction_sd": e * bench.direction_sd},
-        "push's place": {"place_sd": e * bench.place_sd},
-        "tags' places": {"placement_sd": e * bench.placement_sd, "origin_sd": e * bench.origin_sd},
-        "tags' turns": {"turn_sd": e * bench.turn_sd},
-        "clamp's direction": {"clamp_sd": e * bench.clamp_sd},
-        "clock": {"clock_sd": e * bench.clock_sd},
-        "camera's noise": {"tag_sd": 0.01 * bench.tag_sd},
-        "shape at rest": {"curvature_sd": e * bench.curvature_sd},
-    }
-    known = (("force's gain", bench.gain_sd), ("clock", bench.clock_sd), ("shape at rest", bench.curvature_sd))
-    absent = {name for name, sd in known if sd == 0.0}
-    return {name: replace(bench, **one) for name, one in better.items() if name not in absent}
 
 
 def derivatives(setup: Setup, bench: Instruments) -> tuple[planning.TagDerivatives, ...]:

@@ -21,13 +21,12 @@ from onebend.cli.models import SetUpOptions, gravity_on, read_trusted, warn_beyo
 from onebend.control import loop_simulation
 from onebend.control.loop import controller
 from onebend.errors import RecordingError
-from onebend.lab.forecast import BudgetEntry, Tolerances, known_beam, setup_of
+from onebend.lab.forecast import Tolerances, known_beam, setup_of
 from onebend.lab.random_bench import FilmRequest
 from onebend.lab.rehearsal import (
     MEDIAN,
     NINETY,
     REHEARSE_FORMAT,
-    Obtained,
     Rehearsal,
     rehearsal_figure,
     rehearse as make_rehearsal,
@@ -37,7 +36,6 @@ from onebend.lab.rehearsal import (
 )
 from onebend.learning.design import PLACES
 from onebend.options import POSITIVE, Only, option
-from onebend.progress import available_cores
 from onebend.report.pictures import draw
 from onebend.report.sentences import say, significant, width_words
 from onebend.results.control_files import loop_summary, write_loop
@@ -106,20 +104,12 @@ def loop(
 
 
 EVERY = 10  # of the 101 places
-FEW = 12  # runs: with fewer, the 90 % quantile means little
 
 
 def show_rehearsal(console: Console, rehearsal: Rehearsal) -> None:
-    p, o = rehearsal.predicted, rehearsal.obtained
     console.print(f"[bold]{escape(setup_words(rehearsal.setup))}[/]")
-    console.print(say("would be known", quality=p.quality))
+    console.print(say("would be known", quality=rehearsal.predicted.quality))
     console.print(errors_table(rehearsal))
-    if o is not None:
-        console.print(f"\n{obtained_words(o)}")
-    elif rehearsal.runs:
-        console.print(f"\n[yellow]![/] Every fit failed: {escape(rehearsal.runs[0].failure)}")
-    console.print()
-    console.print(budget_table(rehearsal.budget))
     console.print()
     if rehearsal.advice:
         console.print(advice_table(rehearsal))
@@ -128,25 +118,14 @@ def show_rehearsal(console: Console, rehearsal: Rehearsal) -> None:
 
 
 def errors_table(rehearsal: Rehearsal) -> Table:
-    p, o = rehearsal.predicted, rehearsal.obtained
+    p = rehearsal.predicted
     title = "Error of k [%]: median, and nine in ten are below"
     title += "" if np.all(p.identified) else " (*: not identified)"
-    names = [] if o is None else ["obtained", "9 in 10", "in the band"]
-    table = common.listing(title, "s", "k [N m]", "predicted", "9 in 10", *names)
+    table = common.listing(title, "s", "k [N m]", "median", "9 in 10")
     for i in range(0, len(PLACES), EVERY):
-        cells = [_percent(MEDIAN * p.error[i]), _percent(NINETY * p.error[i])]
-        if o is not None:
-            cells += [_percent(o.median[i]), _percent(o.ninety[i]), f"{100.0 * o.coverage[i]:.0f} %"]
         place = f"{PLACES[i]:.1f}{' ' if p.identified[i] else '*'}"
-        table.add_row(place, significant(float(p.k[i])), *cells)
-    return table
-
-
-def budget_table(budget: Sequence[BudgetEntry]) -> Table:
-    title = "Largest causes: how well k(s) would be known if one thing were known exactly"
-    table = common.listing(title, "<known exactly", "k(s) then", "removes")
-    for entry in budget:
-        table.add_row(escape(entry.name), width_words(entry.mean_width), share_words(entry.share))
+        errors = _percent(MEDIAN * p.error[i]), _percent(NINETY * p.error[i])
+        table.add_row(place, significant(float(p.k[i])), *errors)
     return table
 
 
@@ -156,20 +135,6 @@ def advice_table(rehearsal: Rehearsal) -> Table:
     for i, change in enumerate(rehearsal.advice, 1):
         table.add_row(str(i), escape(change.text), width_words(change.quality.mean_width), share_words(change.share))
     return table
-
-
-def obtained_words(o: Obtained) -> str:
-    came = f"{o.runs} simulated recordings" if o.runs > 1 else "One simulated recording"
-    text = f"{came}: the 95 % band held the truth at {100.0 * o.covered:.0f} %"
-    text += f" (± {100.0 * o.covered_error:.0f})" if o.covered_error > 0.0 else ""
-    text += " of the places that the fits call identified." if np.isfinite(o.covered) else " of no place."
-    if not np.isfinite(o.covered):
-        text = f"{came}: none calls k identified anywhere."
-    if o.runs < FEW:
-        text += " So few runs say little about the largest errors."
-    if o.failed:
-        text += f" {o.failed} more failed: {escape(o.why_failed[0])}"
-    return text
 
 
 def share_words(share: float) -> str:
@@ -192,7 +157,7 @@ RehearsalFolder = Annotated[
 
 @dataclass(frozen=True)
 class RehearseOptions:
-    """The pushes and tags of a rehearsal, and how often it is simulated."""
+    """The pushes and tags of a rehearsal."""
 
     tags: str | None = option("--tags", None, "Places of the tags; default: thirds, or the model's.", metavar="S,S,...")
     at: tuple[float, ...] = option(
@@ -207,11 +172,6 @@ class RehearseOptions:
         "Against the beam's x axis; default: 100. One, or one per push.",
         metavar="DEG",
     )
-    runs: int = option(
-        "--runs", 24, "Number of simulated recordings; 0: only the prediction.", metavar="N", within=(0, 10_000)
-    )
-    seed: int = option("--seed", 0, "Seed of the first run; the next ones count up.", metavar="N", within=(0, None))
-    jobs: int | None = option("--jobs", None, "Number of processes; default: all cores.", metavar="N", within=(1, 1024))
     count: int = option("--count", 8, "Number of changes to list.", metavar="N", within=(0, None))
 
 
@@ -235,12 +195,11 @@ def rehearse(
         )
         with common.place_for(output, REHEARSE_FORMAT, overwrite) as place, common.progress_of(quiet) as progress:
             inputs = () if place is None else inputs_of([Path(design)])
-            runs = {"runs": asked.runs, "seed": asked.seed, "jobs": asked.jobs or available_cores()}
-            found = make_rehearsal(setup, **runs, count=asked.count, progress=progress)
+            found = make_rehearsal(setup, count=asked.count, progress=progress)
             if place is not None:
                 pictures = draw({"rehearsal": partial(rehearsal_figure, found)})
-                whole = {**summary_of(found, written_by=BY), "runs": [run.as_dict() for run in found.runs]}
-                common.put_results(place, whole, partial(write_table, rehearsal=found), pictures, inputs=inputs)
+                summary = summary_of(found, written_by=BY)
+                common.put_results(place, summary, partial(write_table, rehearsal=found), pictures, inputs=inputs)
     if as_json:
         common.print_json(summary_of(found, written_by=BY))
         return

@@ -105,8 +105,6 @@ class Sheet:
     family: str = FAMILIES[0]
     rim: float = 1.0  # cells of white around the black square, at least 1
     page: str = "a4"
-    cut_marks: bool = True
-    labels: bool = True
 
     def __post_init__(self) -> None:
         if not self.ids:
@@ -207,12 +205,11 @@ def _put_tag(page: Figure, sheet: Sheet, tag: PrintedTag, centre: Place) -> None
     x, y = centre
     half = 0.5 * sheet.outer(tag)
     _fill(page, tag_polygons(tag, sheet.size, centre))
-    for right, low in product((-1.0, 1.0), repeat=2) if sheet.cut_marks else ():
+    for right, low in product((-1.0, 1.0), repeat=2):
         corner_x, corner_y = x + right * half, y + low * half
         _line(page, (corner_x + right * AWAY, corner_y), (corner_x + right * (AWAY + CUT), corner_y))
         _line(page, (corner_x, corner_y + low * AWAY), (corner_x, corner_y + low * (AWAY + CUT)))
-    if sheet.labels:
-        _text(page, (x, y + half + 3.2), f"{tag.id}", 2.5, "center")
+    _text(page, (x, y + half + 3.2), f"{tag.id}", 2.5, "center")
 
 
 def _furnish(page: Figure, sheet: Sheet, height: float, what: str = "cut along the marks") -> None:

@@ -288,13 +288,13 @@ def with_sites(evidence: Evidence, start: Hyperparameters) -> Hyperparameters:
     wanted = [block for block in layout.blocks if is_shaped(block)]
     for _ in range(_SITE_ROUNDS):
         posterior, sites = evidence.posterior(start), dict(start.sites)
-        mean, sd = posterior.mean, np.ones(layout.size)
-        for number in range(len(evidence.problem.recordings)):
-            sd[layout.known_to(number)] = np.sqrt(np.diag(posterior.pair(number)))
+        pairs = [posterior.pair(number) for number in range(len(evidence.problem.recordings))]
         for block in wanted:
-            key, where = (block.name, block.recording), block.where
-            size = start.sizes.get(block.name, 1.0)
-            sites[key] = updated(block, sites.get(key) or first_site(block, size), mean[where], sd[where], size)
+            key, size = (block.name, block.recording), start.sizes.get(block.name, 1.0)
+            columns = layout.columns(*key)
+            covariance = pairs[max(block.recording, 0)][columns, columns]
+            before = sites.get(key) or first_site(block, size)
+            sites[key] = updated(block, before, posterior.mean[block.where], covariance, size)
         start = replace(start, sites=sites)
     return start
 

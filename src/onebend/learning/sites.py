@@ -2,7 +2,8 @@
 
 A parameter of one sd `d` may have bounds: nothing acts beyond the end of the beam, a tag does not soften it. It may be
 sparse: of an effect that many benches lack, the size is unknown. Its prior is then a mixture of normal densities of
-several `sizes`, equally probable, with mass near zero. Parameters may have one size together.
+several `sizes`, equally probable, with mass near zero. Parameters may have one size together: data that tell only their
+differences, or their sum with another parameter, must not make this size smaller.
 
 The site of a parameter is the normal prior under which the linearised model has the mean and variance that the true
 prior gives (Minka 2001; Rasmussen and Williams, Gaussian Processes for Machine Learning, 3.6).
@@ -53,19 +54,23 @@ def _matched(block: Block, size: float, mean: Array, variance: Array) -> tuple[A
     after, found, spread = moments(*block.within, middle, both)
     total = sizes**2 + variance
     logs = after - before - np.where(given, 0.5 * np.log(total) + 0.5 * mean**2 / total, 0.0)
-    logs = np.sum(logs, axis=0, keepdims=True) if block.together else logs
     weights = np.exp(logs - logsumexp(logs, axis=1, keepdims=True))
     average = np.sum(weights * found, axis=1)
     return average, np.sqrt(np.sum(weights * (spread + (found - average[:, None]) ** 2), axis=1))
 
 
-def updated(block: Block, site: tuple[Array, Array], mean: Array, sd: Array, size: float = 1.0) -> tuple[Array, Array]:
-    """The site of a block, given its last one and the marginal means and sds (n,) of the posterior under that.
+def updated(
+    block: Block, site: tuple[Array, Array], mean: Array, covariance: Array, size: float = 1.0
+) -> tuple[Array, Array]:
+    """The site of a block, given its last one, and mean (n,) and covariance (n, n) of the posterior under that.
 
-    A site wider than the widest normal density in the prior, or far from all of them, is a force without a place to
-    rest: the search may run away with it. A site about zero then gives the same mean.
+    Parameters of one size have the variance of the prior, averaged over the sizes with their probabilities. Of others
+    the marginal densities count. A site wider than the widest normal density in the prior, or far from all of them, is
+    a force without a place to rest: the search may run away with it. A site about zero then gives the same mean.
     """
-    widest = size * block.sizes[-1] * block.prior_sd
+    if block.together and len(mean) > 1:
+        return np.zeros(len(mean)), _common_sd(size * block.prior_sd, np.array(block.sizes), site[1], mean, covariance)
+    widest, sd = size * block.sizes[-1] * block.prior_sd, np.sqrt(np.diag(covariance))
     precision = np.maximum(1.0 / sd**2 - 1.0 / site[1] ** 2, _LEAST / widest**2)
     without = (mean / sd**2 - site[0] / site[1] ** 2) / precision
     wanted, spread = _matched(block, size, without, 1.0 / precision)
@@ -76,6 +81,17 @@ def updated(block: Block, site: tuple[Array, Array], mean: Array, sd: Array, siz
         far = np.abs(middle) > widest
         left, middle = np.where(far, np.maximum(pull, 1.0 / widest**2), left), np.where(far, 0.0, middle)
     return middle, 1.0 / np.sqrt(left)
+
+
+def _common_sd(prior_sd: Array, sizes: Array, before: Array, mean: Array, covariance: Array) -> Array:
+    """(n,) sds of parameters of one size, by its posterior. Their prior sds are `prior_sd` (n,) times one of `sizes`,
+    all equally probable; mean and covariance are those of the posterior under the sds `before` (n,)."""
+    inverse = np.linalg.inv(covariance / np.outer(prior_sd, prior_sd))
+    values, vectors = np.linalg.eigh(inverse - np.diag((prior_sd / before) ** 2))  # of what the data say
+    values, pull = np.maximum(values, 0.0), vectors.T @ (inverse @ (mean / prior_sd))
+    squares = sizes[:, None] ** 2
+    logs = 0.5 * np.sum(squares * pull**2 / (1.0 + squares * values) - np.log1p(squares * values), axis=1)
+    return np.asarray(prior_sd * np.sqrt(np.exp(logs - logsumexp(logs)) @ squares[:, 0]))
 
 
 def is_shaped(block: Block) -> bool:

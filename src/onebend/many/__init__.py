@@ -14,7 +14,7 @@ COMMANDS = {
     ),
     "population": Place(
         "onebend.many.commands:population",
-        "Compare groups of objects in a batch: mean k(s), spread, outliers, tolerances.",
+        "Compare groups of objects in a batch: mean k(s), spread, outliers.",
         "out/pushes-learned --by group -o out/population",
         "onebend batch examples/linear-beam -o out/pushes-learned",
         group="Many",

@@ -300,9 +300,8 @@ def known(value: float) -> str:
     return significant(value) if np.isfinite(value) else UNKNOWN
 
 
-# `index.html`: the answers, doubts, small pictures of k(s), all columns.
+# `index.html`: the answers, doubts, small pictures of k(s).
 
-LEFT_OUT = ("hash", "path", "finished", "warnings")  # columns that the page omits
 WIDE, HIGH = 100.0, 60.0  # of a small picture
 STEP = 4  # of PLACES, in small pictures
 
@@ -320,7 +319,6 @@ def page(outcome: BatchOutcome, *, version: str) -> str:
         "known": known,
         "reports": any(one.report for one in rows),
         "reasons": _reasons(outcome),
-        **_table(outcome),
         "groups": [one for name in names if (one := _group(outcome, name, least, most))["pictures"]],
         "least": significant(least),
         "most": significant(most),
@@ -349,25 +347,6 @@ def _reasons(outcome: BatchOutcome) -> list[dict[str, Any]]:
         for title, rows in kinds.items()
         if rows
     ]
-
-
-def _table(outcome: BatchOutcome) -> dict[str, Any]:
-    table = recordings_table(outcome)
-    names = [name for name in table.column_names if name not in LEFT_OUT]
-    columns = [table[name].to_pylist() for name in names]
-    heads = [
-        {"name": one_line(name), "text": any(isinstance(cell, str) for cell in column)}
-        for name, column in zip(names, columns, strict=True)
-    ]
-    return {"heads": heads, "rows": [[_cell(cell) for cell in row] for row in zip(*columns, strict=True)]}
-
-
-def _cell(cell: Any) -> dict[str, str]:
-    if isinstance(cell, str):
-        return {"words": one_line(cell), "value": one_line(cell)}
-    if not np.isfinite(cell):
-        return {"words": UNKNOWN, "value": ""}
-    return {"words": str(cell) if isinstance(cell, int) else significant(cell), "value": repr(cell)}
 
 
 def _range(records: Sequence[tasks.Record]) -> tuple[float, float]:

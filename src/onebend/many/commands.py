@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -18,7 +18,7 @@ import onebend
 from onebend.cli import BY, common
 from onebend.many import batch as batches, population_report
 from onebend.many.batch import BatchOutcome, run_batch
-from onebend.many.population import TABLES, read_batch, read_tolerance
+from onebend.many.population import TABLES, read_batch
 from onebend.options import option
 from onebend.report.sentences import significant
 from onebend.results.provenance import inputs_of
@@ -68,14 +68,13 @@ def _show_reasons(console: Console, head: str, title: str, rows: Sequence[tuple[
 def show_population(console: Console, outcome: population_report.PopulationOutcome, output: Path) -> None:
     named = outcome.named
     middle = len(named.trial.s) // 2
-    target = f"needed for ± {population_report.percent(outcome.setting.wished)}"
-    heads = ("objects", "k(0.5) [N m]", "95 % from", "to", "half-width", target)
+    heads = ("objects", "k(0.5) [N m]", "95 % from", "to", "half-width")
     table = common.listing("mean k(s)", "<group", *heads)
     curves = (outcome.means.mean, outcome.means.low, outcome.means.high)
     for i, row in enumerate(population_report.group_rows(outcome)):
         values = [significant(float(np.exp(one[i, middle]))) for one in curves]
-        end = population_report.percent(row["half_band"]), population_report.count_words(row["objects_needed"])
-        table.add_row(population_report.group_name(row["group"]), str(row["objects"]), *values, *end)
+        half = population_report.percent(row["half_band"])
+        table.add_row(population_report.group_name(row["group"]), str(row["objects"]), *values, half)
     console.print(table)
     for what, numbers in population_report.spread_rows(outcome):
         value, low, high = map(population_report.percent, numbers)
@@ -84,8 +83,6 @@ def show_population(console: Console, outcome: population_report.PopulationOutco
     rows = [(name, why) for name, why in zip(named.objects, outcome.outliers, strict=True) if why]
     _show_reasons(console, "name", "unlike the others", rows)
     _show_reasons(console, "name", "left out", named.left_out)
-    if words := population_report.judged_words(outcome):
-        console.print(words, markup=False)
     console.print(f"Wrote {output / 'report.html'}", markup=False)
 
 
@@ -129,10 +126,6 @@ def batch(
 
 Batch = Annotated[Path, typer.Argument(metavar="RESULTS", help="The results folder of a batch.")]
 PopulationOut = Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for tables and report.")]
-ToleranceFile = Annotated[
-    Path | None,
-    typer.Option("--tolerance", metavar="CSV", help="CSV with s, low_N_m, high_N_m: limits that objects must meet."),
-]
 
 
 def population(
@@ -140,7 +133,6 @@ def population(
     *,
     output: PopulationOut,
     setting: population_report.PopulationSettings,
-    tolerance: ToleranceFile = None,
     overwrite: common.Overwrite = False,
     as_json: common.Json = False,
     quiet: common.Quiet = False,
@@ -150,8 +142,7 @@ def population(
         common.workplace(output, population_report.POPULATION_FORMAT, overwrite) as place,
         common.progress_of(quiet) as progress,
     ):
-        setting = replace(setting, tolerance=None if tolerance is None else read_tolerance(tolerance))
-        inputs = inputs_of([*(results / f"{name}.parquet" for name in TABLES), *filter(None, [tolerance])])
+        inputs = inputs_of([results / f"{name}.parquet" for name in TABLES])
         found = population_report.population(read_batch(results, setting.by, setting.same), setting)
         pictures = population_report.draw_figures(found, progress=progress)
         summary = population_report.summary_of(found, written_by=BY)

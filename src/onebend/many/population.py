@@ -19,12 +19,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.polynomial.legendre import legvander
-from scipy.special import log_ndtr, ndtr, ndtri, stdtrit
+from scipy.special import log_ndtr, ndtr, ndtri
 
 from onebend.errors import ResultsError
 from onebend.files.publish import SUMMARY, changed_files, read_summary
 from onebend.progress import one_blas_thread
-from onebend.recording.tables import read_columns
 from onebend.records import Array, BoolArray, IntArray
 from onebend.text_files import quoted
 
@@ -117,13 +116,6 @@ def quantile(weight: Array, mean: Array, sd: Array, share: float) -> Array:
         below = np.tensordot(weight, ndtr((middle - mean) / sd), axes=1) < share
         low, high = np.where(below, middle, low), np.where(below, high, middle)
     return np.asarray(0.5 * (low + high))
-
-
-def moments(weight: Array, mean: Array, covariance: Array) -> tuple[Array, Array]:
-    """(..., S) mean and (..., S, S) covariance of the mixture of `mean` (N, ..., S), `covariance` (N, ..., S, S)."""
-    centre = np.tensordot(weight, mean, axes=1)
-    off = mean - centre
-    return centre, np.tensordot(weight, covariance + off[..., :, None] * off[..., None, :], axes=1)
 
 
 def weighted_quantiles(values: Array, weight: Array, shares: tuple[float, ...]) -> tuple[float, ...]:
@@ -489,49 +481,10 @@ def banded(objects: Objects, common_sd: float) -> Curves:
     return Curves(objects.mean, objects.mean - half, objects.mean + half)
 
 
-def next_object(fit: Fit) -> Objects:
-    """log k of a further object of each group."""
-    spread = lasting_covariance(fit.spreads, fit.trial.s)
-    return Objects(*moments(fit.weight, fit.mean, fit.covariance + fit.trial.alike + spread))
-
-
-# Objects that a target half-width needs.
-
-MOST = 100_000  # largest number
-NUMBERS = (2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 30, 50, 100, 200, 500, 1000)  # with a predicted half-width
-
-
 def half_band(means: Curves, group: int, places: BoolArray) -> float:
     """Half the 95 % band of the group's mean log k, median over the places, or NaN."""
     wide = 0.5 * (means.high[group] - means.low[group])[places]
     return float(np.median(wide)) if len(wide) else float("nan")
-
-
-@one_blas_thread
-def foretold(fit: Fit, means: Curves, group: int, places: BoolArray) -> Array:
-    """(MOST,) half-widths of the group's mean for 1, 2, ... such objects; matches the present one at the present
-    number."""
-    trial = fit.trial
-    now, rest = int(np.sum(trial.group_of == group)), trial.objects - trial.groups
-    objects = objects_of(trial, fit.spreads)
-    spread = lasting_covariance(fit.spreads, trial.s)
-    precision, _ = inverse((objects.covariance + spread)[:, trial.group_of == group])
-    one, _ = inverse(precision.mean(axis=1))
-    variance = fit.weight @ np.diagonal(one, axis1=-2, axis2=-1)[:, places]
-    numbers = np.arange(1, MOST + 1)
-    freedom = np.maximum(rest + numbers - now, 1)
-    quantile = stdtrit(freedom.astype(float), 0.975)
-    own = quantile**2 * float(np.median(variance)) / numbers
-    alike = float(np.median(np.diagonal(trial.alike[group])[places]))  # not averaged by more objects
-    common = 1.959963984540054**2 * (trial.common_sd**2 + alike)
-    found = max(half_band(means, group, places) ** 2 - common, 0.0)
-    return np.asarray(np.sqrt(own * found / own[now - 1] + common))
-
-
-def needed(bands: Array, wished: float) -> float:
-    """Least number of objects with at most this half-width, or inf."""
-    enough = np.flatnonzero(bands <= wished)
-    return float(enough[0] + 1) if len(enough) else float("inf")
 
 
 # Outliers: each object against the prediction of the others, with the spreads.
@@ -655,72 +608,3 @@ def _between(fit: Fit) -> tuple[Estimate, Estimate]:
     rms = np.sqrt(np.mean(_variances(within[:, 0]), axis=1))
     sd = np.sqrt(STEPS / (1.0 - STEPS))[:, None] * rms
     return _estimate(STEPS, weight.sum(axis=1)), _estimate(sd.ravel(), weight.ravel())
-
-
-# Pass or fail against a tolerance of k(s), with expected errors.
-
-COLUMNS = ("s", "low_N_m", "high_N_m")
-DRAWS = 4000
-PASSES = 0.5  # least probability of lying inside
-
-
-@dataclass(frozen=True)
-class Tolerance:
-    """Limits of k, log-linear between places; outside them nothing is required."""
-
-    s: Array
-    low: Array  # N m
-    high: Array  # N m
-
-
-@dataclass(frozen=True)
-class Judgement:
-    inside: Array  # (O,) probability of lying inside everywhere
-    passes: float  # least probability to pass
-    false_passes: float  # expected share of passes that lie outside, or NaN
-    false_fails: float  # expected share of fails that lie inside, or NaN
-
-    @property
-    def passed(self) -> Array:
-        return np.asarray(self.inside >= self.passes)
-
-
-def read_tolerance(path: Path) -> Tolerance:
-    """From a CSV with `s, low_N_m, high_N_m`. Raises `RecordingError` with the line."""
-    table = read_columns(path, COLUMNS, kind="tolerance", advice=lambda _: f"A tolerance has {', '.join(COLUMNS)}.")
-    s, low, high = (table.numbers[name] for name in COLUMNS)
-    table.refuse(
-        ~((s >= 0.0) & (s <= 1.0) & (low > 0.0) & (low < high)), "s is from 0 to 1, and 0 < low_N_m < high_N_m."
-    )
-    table.refuse(np.append(False, np.diff(s) <= 0.0), "s does not grow from line to line. Sort the lines.")
-    if len(s) < 2:
-        raise ResultsError(f"{path} has one line of numbers; a band needs two or more. Add some")
-    return Tolerance(s, low, high)
-
-
-def judge(objects: Objects, s: Array, common_sd: float, band: Tolerance, passes: float = PASSES) -> Judgement:
-    """By reproducible draws of each object's k(s) at places `s`."""
-    inside = inside_of(objects, s, common_sd, band)
-    judged = inside >= passes
-    return Judgement(
-        inside,
-        passes,
-        float(np.mean(1.0 - inside[judged])) if judged.any() else float("nan"),
-        float(np.mean(inside[~judged])) if not judged.all() else float("nan"),
-    )
-
-
-def inside_of(objects: Objects, s: Array, common_sd: float, band: Tolerance) -> Array:
-    """(M,) probability of lying inside from the first to the last place."""
-    places = (s >= band.s[0] - 1e-9) & (s <= band.s[-1] + 1e-9)
-    if not places.any():
-        raise ResultsError("the tolerance lies between two places of k(s). Let it span 0.1 or more of s")
-    low, high = (np.interp(s[places], band.s, np.log(edge)) for edge in (band.low, band.high))
-    normal = np.random.default_rng(0).standard_normal((DRAWS, len(s) + 1))
-    found = np.empty(len(objects.mean))
-    for i, (mean, covariance) in enumerate(zip(objects.mean, objects.covariance, strict=True)):
-        values, vectors = np.linalg.eigh(covariance)
-        root = (vectors * np.sqrt(np.maximum(values, 0.0)))[places]
-        drawn = mean[places] + normal[:, :-1] @ root.T + common_sd * normal[:, -1:]
-        found[i] = np.mean(np.all((drawn >= low) & (drawn <= high), axis=1))
-    return found

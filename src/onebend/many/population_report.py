@@ -14,7 +14,6 @@ import pyarrow as pa
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from onebend.errors import ResultsError
 from onebend.files.single_file import as_csv, as_parquet
 from onebend.many import population as model
 from onebend.options import option
@@ -35,17 +34,6 @@ class PopulationSettings:
     same: str | None = option(
         "--object", None, "Column with the object; default: one object per recording.", metavar="COLUMN"
     )
-    wished: float = option(
-        "--band", 0.05, "Target for the half-width of the means.", metavar="PERCENT", within=(0.01, 1e9), scale=0.01
-    )
-    tolerance: model.Tolerance | None = None
-    passes: float = option(
-        "--pass-from",
-        0.5,
-        "Least probability of meeting the tolerance with which an object passes.",
-        metavar="P",
-        within=(0.01, 0.99),
-    )
 
 
 @dataclass(frozen=True)
@@ -62,27 +50,17 @@ class PopulationOutcome:
     shares: model.Shares
     outliers: tuple[str, ...]  # O reasons
     half: tuple[float, ...]  # G half-widths of log k, median over `told`
-    bands: Array  # (G, len(NUMBERS)) for that many objects
-    needed: tuple[float, ...]  # G objects for the target, or inf
-    judgement: model.Judgement | None
-    next_inside: Array | None  # (G,) probability that a further object meets the tolerance
 
 
 def population(named: model.Named, setting: PopulationSettings = PopulationSettings()) -> PopulationOutcome:
-    """Raises `ResultsError` for invalid settings."""
-    if not (setting.wished > 0.0 and 0.0 < setting.passes < 1.0):
-        raise ResultsError("--band must be above 0, and --pass-from between 0 and 1. Correct them")
+    """The posterior of means, spreads and objects."""
     trial, found = named.trial, model.fit(named.trial)
     means, told = model.group_means(found), named.identified >= 0.5
     groups = range(trial.groups)
     pairs = list(combinations(groups, 2))
     if trial.groups > MOST_COMPARED:
         pairs = [(i, 0) for i in groups if i]
-    objects, tolerance = model.shrunken(found), setting.tolerance
-    bands = [
-        model.foretold(found, means, i, told[i]) if told[i].any() else np.full(model.NUMBERS[-1], np.nan)
-        for i in groups
-    ]
+    objects = model.shrunken(found)
     return PopulationOutcome(
         setting=setting,
         named=named,
@@ -96,48 +74,35 @@ def population(named: model.Named, setting: PopulationSettings = PopulationSetti
         shares=model.shares(found),
         outliers=model.outliers(found),
         half=tuple(model.half_band(means, i, told[i]) for i in groups),
-        bands=np.array([one[np.array(model.NUMBERS) - 1] for one in bands]),
-        needed=tuple(model.needed(one, float(np.log1p(setting.wished))) for one in bands),
-        judgement=None
-        if tolerance is None
-        else model.judge(objects, trial.s, trial.common_sd, tolerance, setting.passes),
-        next_inside=None
-        if tolerance is None
-        else model.inside_of(model.next_object(found), trial.s, trial.common_sd, tolerance),
     )
 
 
 # Tables, each as Parquet and CSV.
 
 TABLES = {
-    "groups": "one row per group: number of objects, band of the mean, objects needed for the target",
+    "groups": "one row per group: number of objects, band of the mean",
     "means": "one row per group and place: mean k(s) with its 95 % band",
     "ratios": "one row per pair of groups and place: ratio of the means with its 95 % band",
     "spread": "one row per statistic: spread within and between groups, repeatability, with 95 % intervals",
-    "objects": "one row per object: k at five places, why it is an outlier, whether it passes",
+    "objects": "one row per object: k at five places, why it is an outlier",
     "curves": "one row per object and place: k(s), drawn towards the group's mean, with its 95 % band",
-    "needed": "one row per group and number of objects: expected half-width of the mean",
     "left_out": "one row per excluded recording, with the reason",
 }
 AT = (0.0, 0.25, 0.5, 0.75, 1.0)  # s, of k in the table of objects
 
 
 def tables(outcome: PopulationOutcome) -> dict[str, pa.Table]:
-    made = (_groups, _means, _ratios, _spread, _objects, _curves, _needed, _left_out)
+    made = (_groups, _means, _ratios, _spread, _objects, _curves, _left_out)
     return {name: pa.table(one(outcome)) for name, one in zip(TABLES, made, strict=True)}
 
 
 def _groups(outcome: PopulationOutcome) -> dict[str, Any]:
     trial = outcome.named.trial
-    next_inside = np.full(trial.groups, np.nan) if outcome.next_inside is None else outcome.next_inside
     return {
         "group": _texts(outcome.named.groups),
         "objects": np.bincount(trial.group_of),
         "recordings": np.bincount(trial.group_of[trial.object_of]),
         "half_band": np.expm1(outcome.half),
-        "wished_half_band": np.full(trial.groups, outcome.setting.wished),
-        "objects_needed": np.array(outcome.needed),
-        "next_object_inside": next_inside,
     }
 
 
@@ -168,7 +133,7 @@ def _spread(outcome: PopulationOutcome) -> dict[str, Any]:
 
 
 def _objects(outcome: PopulationOutcome) -> dict[str, Any]:
-    named, curves, judged = outcome.named, outcome.curves, outcome.judgement
+    named, curves = outcome.named, outcome.curves
     trial = named.trial
     columns: dict[str, Any] = {
         "object": _texts(named.objects),
@@ -179,10 +144,7 @@ def _objects(outcome: PopulationOutcome) -> dict[str, Any]:
         i = int(np.argmin(np.abs(trial.s - s)))
         for name, one in (("k", curves.mean), ("k_lo", curves.low), ("k_hi", curves.high)):
             columns[f"{name}_at_{s:g}_N_m"] = np.exp(one[:, i])
-    columns["outlier"] = _texts(outcome.outliers)
-    columns["inside"] = np.full(trial.objects, np.nan) if judged is None else judged.inside
-    words = [""] * trial.objects if judged is None else ["passes" if one else "fails" for one in judged.passed]
-    return columns | {"judged": _texts(words)}
+    return columns | {"outlier": _texts(outcome.outliers)}
 
 
 def _curves(outcome: PopulationOutcome) -> dict[str, Any]:
@@ -191,14 +153,6 @@ def _curves(outcome: PopulationOutcome) -> dict[str, Any]:
         "object": _each(named.objects, outcome),
         "group": _each([named.groups[i] for i in named.trial.group_of], outcome),
         **_curve(outcome.curves, outcome, "k", "_N_m"),
-    }
-
-
-def _needed(outcome: PopulationOutcome) -> dict[str, Any]:
-    return {
-        "group": _texts([name for name in outcome.named.groups for _ in model.NUMBERS]),
-        "objects": np.tile(model.NUMBERS, len(outcome.named.groups)),
-        "half_band": np.expm1(outcome.bands).ravel(),
     }
 
 
@@ -232,20 +186,16 @@ def draw_figures(outcome: PopulationOutcome, *, progress: Progress = Silent()) -
     wanted: dict[str, Draw] = {"means": partial(means, outcome), "groups": partial(panels, outcome)}
     if outcome.pairs:
         wanted["ratios"] = partial(ratios, outcome)
-    wanted["needed"] = partial(bands, outcome)
     return draw(wanted, progress)
 
 
 @styled
 def means(outcome: PopulationOutcome) -> Figure:
-    """Groups' means with bands, and the tolerance."""
+    """Groups' means with bands."""
     figure, (axes,) = blank(3.8)
     s, count = outcome.named.trial.s, min(len(outcome.named.groups), MOST)
     for i in range(count):
         _banded(axes, s, outcome.means, i, color=hue_of(i, count), label=outcome.named.groups[i] or "all")
-    if (band := outcome.setting.tolerance) is not None:
-        for edge in (band.low, band.high):
-            axes.plot(band.s, edge, color=INK, linestyle="--", linewidth=1.2)
     axes.set(xlabel="s", ylabel="k(s) [N m]", yscale="log")
     axes.legend(ncols=4)
     return figure
@@ -289,20 +239,6 @@ def ratios(outcome: PopulationOutcome) -> Figure:
     return figure
 
 
-@styled
-def bands(outcome: PopulationOutcome) -> Figure:
-    """Half-width against the number of objects."""
-    figure, (axes,) = blank(3.2)
-    count = min(len(outcome.named.groups), MOST)
-    for i in range(count):
-        name = figure_text(outcome.named.groups[i] or "all")
-        axes.plot(model.NUMBERS, 100.0 * np.expm1(outcome.bands[i]), color=hue_of(i, count), label=name)
-    axes.axhline(100.0 * outcome.setting.wished, color=INK, linestyle="--", linewidth=1.0)
-    axes.set(xlabel="objects of the group", ylabel="half-width of its mean [%]", xscale="log", yscale="log")
-    axes.legend(ncols=4)
-    return figure
-
-
 SPREAD = {
     "level_sd": ("within groups, of the level of k", True),
     "shape_sd": ("within groups, of the shape of k(s)", True),
@@ -310,34 +246,23 @@ SPREAD = {
     "between": ("share of all variance between objects that lies between groups (intraclass correlation)", False),
     "between_sd": ("between the groups' means", True),
 }
-MOST_JUDGED = 200  # objects on the page
 
 
 def page(outcome: PopulationOutcome, figures: Mapping[str, bytes], *, name: str, version: str) -> str:
-    named, target = outcome.named, percent(outcome.setting.wished)
+    named = outcome.named
     content = {
         "version": version,
         "title": one_line(f"Population {name}"),
         "cards": _cards(outcome),
-        "group_heads": ("group", "objects", "recordings", "half-width of the mean", f"needed for ± {target}"),
+        "group_heads": ("group", "objects", "recordings", "half-width of the mean"),
         "group_rows": [
-            (
-                group_name(one["group"]),
-                str(one["objects"]),
-                str(one["recordings"]),
-                f"± {percent(one['half_band'])}",
-                count_words(one["objects_needed"]),
-            )
+            (group_name(one["group"]), str(one["objects"]), str(one["recordings"]), f"± {percent(one['half_band'])}")
             for one in group_rows(outcome)
         ],
         "spread_heads": ("", "value", "95 % from", "to"),
         "spread_rows": [(what, *map(percent, values)) for what, values in spread_rows(outcome)],
         "outliers": [(one_line(one), why) for one, why in zip(named.objects, outcome.outliers, strict=True) if why],
-        "tolerance": judged_words(outcome),
-        "judged_heads": ("object", "group", "probability inside", ""),
-        "judged_rows": _judged_rows(outcome),
         "ratios": bool(outcome.pairs),
-        "needed": f"Target: a half-width of {target} of k (median along the beam).",
         "left_out": [(one_line(one), one_line(why)) for one, why in named.left_out],
         "files": list(TABLES.items()),
         "data": "{}",
@@ -350,23 +275,8 @@ def percent(share: float) -> str:
     return f"{significant(100.0 * share)} %" if np.isfinite(share) else UNKNOWN
 
 
-def count_words(number: float) -> str:
-    return f"{number:.0f} objects" if np.isfinite(number) else "not reachable"
-
-
 def group_name(name: str) -> str:
     return one_line(name) or "all"
-
-
-def judged_words(outcome: PopulationOutcome) -> str:
-    judged = outcome.judgement
-    if judged is None:
-        return ""
-    return (
-        f"{int(judged.passed.sum())} of {len(judged.inside)} objects pass: k(s) lies inside everywhere with a "
-        f"probability of {significant(judged.passes)} or more. To be expected: {percent(judged.false_passes)} of those "
-        f"that pass lie outside, {percent(judged.false_fails)} of those that fail lie inside."
-    )
 
 
 def _cards(outcome: PopulationOutcome) -> list[dict[str, str]]:
@@ -394,43 +304,21 @@ def spread_rows(outcome: PopulationOutcome) -> list[tuple[str, list[float]]]:
     return rows
 
 
-def _judged_rows(outcome: PopulationOutcome) -> list[tuple[Any, ...]]:
-    judged, named = outcome.judgement, outcome.named
-    if judged is None:
-        return []
-    rows = zip(named.objects, named.trial.group_of, judged.inside, judged.passed, strict=True)
-    found = [
-        (one_line(name), group_name(named.groups[i]), significant(inside), "passes" if passed else "fails")
-        for name, i, inside, passed in rows
-    ]
-    return found[:MOST_JUDGED]
-
-
 POPULATION_FORMAT = "onebend-population-1"
 
 
 def summary_of(outcome: PopulationOutcome, *, written_by: str) -> dict[str, Any]:
-    named, judged = outcome.named, outcome.judgement
-    told = ("group", "objects", "half_band", "objects_needed", "next_object_inside")
+    named, told = outcome.named, ("group", "objects", "half_band")
     return {
         "format": POPULATION_FORMAT,
         "written_by": written_by,
         "by": outcome.setting.by,
         "object": outcome.setting.same,
-        "wished_half_band": outcome.setting.wished,
         "groups": [{name: row[name] for name in told} for row in group_rows(outcome)],
         "spread": asdict(outcome.shares),
         "outliers": [
             {"object": name, "reason": why} for name, why in zip(named.objects, outcome.outliers, strict=True) if why
         ],
-        "tolerance": None
-        if judged is None
-        else {
-            "passed": int(judged.passed.sum()),
-            "objects": named.trial.objects,
-            "false_passes": judged.false_passes,
-            "false_fails": judged.false_fails,
-        },
         "left_out": [{"recording": name, "reason": why} for name, why in named.left_out],
     }
 

@@ -161,9 +161,6 @@ class CameraInfo:
     lens: Array  # (n,)
     matrix: Array  # (3, 3) px
     rectified: Array  # (3, 3) px, of pictures that the driver has rectified
-    binning: tuple[int, int]  # across, down; 1: none
-    corner: tuple[int, int]  # px, where the part of the picture that was recorded begins
-    part: tuple[int, int]  # px, width and height of that part
 
 
 def bag_camera(video: VideoEntry, name: str) -> CameraInfo:
@@ -193,18 +190,14 @@ def info_of(message: Any, topic: Topic, place: str) -> CameraInfo:
             raise RecordingError(f"{place}: {name.upper()} holds what is no number. Calibrate the camera.")
         return read
 
-    roi, width, height = message.roi, int(message.width), int(message.height)
     return CameraInfo(
         topic.channel.topic,
-        width,
-        height,
+        int(message.width),
+        int(message.height),
         str(message.distortion_model),
         numbers("d"),
         numbers("k").reshape(3, 3),
         numbers("p").reshape(3, 4)[:, :3],
-        (max(int(message.binning_x), 1), max(int(message.binning_y), 1)),
-        (int(roi.x_offset), int(roi.y_offset)),
-        (int(roi.width) or width, int(roi.height) or height),
     )
 
 

@@ -288,8 +288,6 @@ class PosesEntry:
     sd: float = key(
         "sd_m = 0.001", POSITIVE, "how exactly a point was measured (one sd), m; else estimated from the fit", nan
     )
-    along_sd: float = key("along_sd_m = 0.002", POSITIVE, "the same along the beam, where it is not sd_m", nan)
-    across_sd: float = key("across_sd_m = 0.0005", POSITIVE, "the same across the beam, where it is not sd_m", nan)
     error_length: float = key(
         "error_length_m = 0.1",
         SD,

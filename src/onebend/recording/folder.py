@@ -405,17 +405,15 @@ def camera_in_bag(entry: CameraInfoEntry, video: VideoEntry | None) -> tuple[Cam
         dist, words = np.zeros(5), f"{video.topic} is taken as rectified: its matrix P, and no lens"
     else:
         dist, words = lens_of(info, video)
-    matrix, changed = of_part(info, matrix)
-    width, height = (info.part[0] // info.binning[0], info.part[1] // info.binning[1])
     shown = picture_size(video)
-    if shown != (width, height):
+    if shown != (info.width, info.height):
         raise RecordingError(
-            f"[camera] camera_info: {info.topic} is of pictures of {width} x {height}, {video.topic} of {video.file} "
-            f"has {shown[0]} x {shown[1]}. Record the picture that was calibrated. {OTHERWISE}"
+            f"[camera] camera_info: {info.topic} is of pictures of {info.width} x {info.height}, {video.topic} of "
+            f"{video.file} has {shown[0]} x {shown[1]}. Record the picture that was calibrated. {OTHERWISE}"
         )
-    remark = Remark("note", f"The camera is that of {info.topic}: {words}{changed}.")
+    remark = Remark("note", f"The camera is that of {info.topic}: {words}.")
     (fx, fy), (cx, cy) = np.diag(matrix)[:2].tolist(), matrix[:2, 2].tolist()
-    return CameraEntry(width, height, fx, fy, cx, cy, tuple(dist.tolist()), entry.scale_sd), (remark,)
+    return CameraEntry(info.width, info.height, fx, fy, cx, cy, tuple(dist.tolist()), entry.scale_sd), (remark,)
 
 
 def checked_matrix(info: CameraInfo, video: VideoEntry, matrix: Array) -> Array:
@@ -445,20 +443,6 @@ def lens_of(info: CameraInfo, video: VideoEntry) -> tuple[Array, str]:
     if info.lens[5:].any():
         raise RecordingError(f"{place}: its lens has k4 to k6, which are not modelled. Record image_rect. {OTHERWISE}")
     return np.append(info.lens, 0.0)[:5], f"lens {info.model}"
-
-
-def of_part(info: CameraInfo, matrix: Array) -> tuple[Array, str]:
-    """The matrix for the part of the sensor that was recorded and its binning, and words on both."""
-    bins, corner = np.array(info.binning, dtype=float), np.array(info.corner, dtype=float)
-    made = matrix.copy()
-    made[:2, 2] = (matrix[:2, 2] - corner + 0.5) / bins - 0.5
-    made[[0, 1], [0, 1]] = np.diag(matrix)[:2] / bins
-    words = ""
-    if info.part != (info.width, info.height) or corner.any():
-        words += f"; the part of {info.part[0]} x {info.part[1]} px from {info.corner[0]}, {info.corner[1]} on"
-    if info.binning != (1, 1):
-        words += f"; {info.binning[0]} x {info.binning[1]} pixels binned"
-    return made, words
 
 
 FILE_NAME = "recording.toml"

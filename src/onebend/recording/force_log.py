@@ -16,29 +16,10 @@ from onebend.recording.tables import read_columns
 from onebend.records import Array, ForceLog, IntArray, Remark
 from onebend.text_files import is_number
 
-# libfranka's own log of the last commands (franka::logToCSV): joints and commands, no force.
-JOINTS_ONLY = "state.tau_ext_hat_filtered[0]"
 # O_F_ext_hat_K[0], field.O_F_ext_hat_K0, state.K_F_ext_hat_K_0, .../wrench/force/x, field.wrench.force.x, ...
 ESTIMATE = re.compile(r"^(?:.*[./ ])?([OK]_F_ext_hat_K)[\[_.]?(\d)\]?$", re.IGNORECASE)
 VECTOR = re.compile(r"^(.*force[./_ ]?)([xyz])$", re.IGNORECASE)
 TIMES = {"%time": "ns", "field.header.stamp": "ns", "time": "ms", "timestamp": "", "stamp": "", "t": "", "__time": "s"}
-
-
-def franka_hint(header: Sequence[str]) -> str:
-    """What to write in [force] where the header of a text log is one of a robot's; "" where it is not."""
-    if JOINTS_ONLY in header and not any(ESTIMATE.match(name) for name in header):
-        return (
-            " This is libfranka's log of the last commands: it holds the joints' torques and no force. Log "
-            "O_F_ext_hat_K of the robot's state, or record a bag."
-        )
-    forces = likely_forces(header)
-    time = next((name for name in header if name.lower() in TIMES), None)
-    if forces is None or time is None:
-        return ""
-    unit = TIMES[time.lower()]
-    units = {"": "", "ms": ' and, as libfranka counts in milliseconds, time_unit = "ms"', "s": ""}
-    unit_hint = units.get(unit, f' and time_unit = "{unit}"')
-    return f' For x and y of this log: columns = ["{time}", "{forces[0]}", "{forces[1]}"]{unit_hint}.'
 
 
 def likely_forces(header: Sequence[str]) -> tuple[str, str] | None:
@@ -264,7 +245,7 @@ def whole_log(where: str, read: Array, remarks: tuple[Remark, ...] = ()) -> Forc
 
 def _advice(header: list[str], wanted: Sequence[str]) -> str:
     """What to do about a header that lacks wanted columns."""
-    advice = f"Name the columns with columns in [force], or column in [push], of recording.toml.{franka_hint(header)}"
+    advice = "Name the columns with columns in [force], or column in [push], of recording.toml."
     if header and all(is_number(name) for name in header):
         return f"The first line holds numbers: write the header {','.join(wanted)} above it. {advice}"
     if header and header[0].startswith("#"):

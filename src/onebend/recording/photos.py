@@ -9,10 +9,8 @@ plane of bending.
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
@@ -60,9 +58,6 @@ from onebend.records import (
     View,
     covariance_with_camera,
 )
-
-HEIC_BRANDS = frozenset((b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx"))
-
 
 Traced = tuple[PosePoints, tuple[OutlineTrack, ...]]
 
@@ -156,30 +151,10 @@ def read_photo(rec: Recording, name: str) -> Image.Image:
         with Image.open(path) as image:
             return ImageOps.exif_transpose(image).convert("RGB")
     except (UnidentifiedImageError, OSError, ValueError, Image.DecompressionBombError) as wrong:
-        if is_heic(path):
-            raise RecordingError(_heic_advice(path)) from None
-        raise RecordingError(f"{path} cannot be read as a picture ({wrong}). Save it as JPEG or PNG.") from None
-
-
-def is_heic(path: Path) -> bool:
-    """Whether a file begins as an HEIC picture does (ISO 23008-12), whatever its name."""
-    with path.open("rb") as stream:
-        first = stream.read(64)
-    size = min(int.from_bytes(first[:4], "big"), len(first))
-    brands = {first[8:12], *(first[i : i + 4] for i in range(16, size - 3, 4))}
-    return first[4:8] == b"ftyp" and not brands.isdisjoint(HEIC_BRANDS)
-
-
-def _heic_advice(path: Path) -> str:
-    """How to convert a picture by programs of the system. (Libraries that read HEIC are under LGPL and GPL.)"""
-    other = path.with_name(f"{path.stem}-converted.jpg" if path.suffix == ".jpg" else f"{path.stem}.jpg")
-    old, new = shlex.quote(str(path)), shlex.quote(str(other))
-    return (
-        f"{path} is an HEIC picture, as telephones take them; JPEG and PNG are read. Convert it with "
-        f"`sips -s format jpeg {old} --out {new}` on a Mac or `heif-convert -q 100 {old} {new}` on Linux (from the "
-        "package libheif-examples), and write the new name in the column pose. An iPhone takes JPEG by itself with "
-        "Settings, Camera, Formats, Most Compatible."
-    )
+        raise RecordingError(
+            f"{path} cannot be read as a picture ({wrong}). Save it as JPEG or PNG. An iPhone, which takes HEIC, takes "
+            "JPEG with Settings, Camera, Formats, Most Compatible."
+        ) from None
 
 
 def measured(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NoReturn
@@ -163,7 +162,6 @@ def _shared(
 
 GUESSED_SD = 1e-3  # of the length: of a point where nobody says how exactly it was measured
 ANGLE_SD = math.radians(1.0)  # of an angle read off by hand
-SDS = ("sd_m", "along_sd_m", "across_sd_m")
 LEVEL = 1e-9  # sine of the angle of a clamp that is level
 
 
@@ -172,10 +170,7 @@ def readings_of(rec: Recording, loads: PoseLoads, table: Columns) -> Readings:
     entry = rec.poses
     assert entry is not None
     if entry.read_at == "x":
-        table.refuse(np.isfinite(table.get("along_sd_m")), "along_sd_m is of marks. A ruler that stands reads y alone.")
         table.refuse(~np.isfinite(table.get("x_m")), 'a ruler stands at its x_m (read_at = "x"): give it.')
-        if math.isfinite(entry.along_sd):
-            _refuse(rec, "along_sd_m", 'is of marks, and rulers stand (read_at = "x"): placement_sd_m is of their x_m.')
         if entry.axes == "room" and np.any(np.abs(np.sin(np.nan_to_num(loads.clamp))) > LEVEL):
             _refuse(rec, "read_at", "in the room's axes needs a level clamp. Measure in the beam's (axes = \"beam\").")
     bare = -1
@@ -225,43 +220,14 @@ def with_zero(readings: Readings, xy: Array, covariance: Array) -> tuple[Array, 
     return xy, covariance
 
 
-def point_covariances(
-    entry: PosesEntry, length: float, s: Array, xy: Array, angle: Array, grids: Mapping[str, Array]
-) -> tuple[Array, bool]:
-    """(P, m, 3, 3) of points (P, m, 2) [m] and angles (P, m) [rad], and whether all sds are stated.
-
-    That of one point goes before that of all, that of a direction before that of both. `grids`: (P, m) m of each of
-    `SDS`."""
-    sds = []
-    for name, whole in (("along_sd_m", entry.along_sd), ("across_sd_m", entry.across_sd)):
-        sd = np.where(np.isfinite(grids[name]), grids[name], grids["sd_m"])
-        sds.append(np.where(np.isfinite(sd), sd, whole if math.isfinite(whole) else entry.sd))
-    along, across = sds
-    asked = np.isfinite(xy).any(axis=-1)
-    alone = asked & ~np.isfinite(xy).all(axis=-1)  # a ruler's reading is across
-    known = np.isfinite(across) & (np.isfinite(along) | alone)
-    guess = GUESSED_SD * length
-    along, across = (np.where(np.isfinite(sd), sd, guess) for sd in (along, across))
-    turn = np.where(along == across, 0.0, _directions(xy, s, angle))
-    if entry.read_at == "x":
-        along, turn = across, np.zeros_like(turn)
-    cos, sin = np.cos(turn), np.sin(turn)
-    axes = np.moveaxis(np.array([[cos, -sin], [sin, cos]]), (0, 1), (-2, -1))
+def point_covariances(entry: PosesEntry, length: float, xy: Array, angle: Array, sd: Array) -> tuple[Array, bool]:
+    """(P, m, 3, 3) of points (P, m, 2) [m] and angles (P, m) [rad], and whether all sds are stated. What the table says
+    of a point, `sd` (P, m) m, goes before what recording.toml says of all."""
+    sd = np.where(np.isfinite(sd), sd, entry.sd)
     out = np.zeros((*angle.shape, 3, 3))
-    sizes = np.stack([along, across], axis=-1)[..., None, :] ** 2
-    out[..., :2, :2] = (axes * sizes) @ np.swapaxes(axes, -1, -2)
+    out[..., [0, 1], [0, 1]] = np.where(np.isfinite(sd), sd, GUESSED_SD * length)[..., None] ** 2
     out[..., 2, 2] = np.where(np.isfinite(angle), ANGLE_SD, UNKNOWN_ANGLE_SD) ** 2
-    return out, bool(np.all(known[asked]))
-
-
-def _directions(xy: Array, s: Array, angle: Array) -> Array:
-    """(P, m) rad, of the beam at the points: as measured, else of the chords, else 0, so that across is y."""
-    out = np.zeros(angle.shape)
-    for pose, points in enumerate(xy):
-        whole = np.isfinite(points).all(axis=-1)
-        if whole.any():
-            out[pose, whole] = chord_angles(points[whole][None], s[whole])[0]
-    return np.where(np.isfinite(angle), angle, out)
+    return out, bool(np.isfinite(sd[np.isfinite(xy).any(axis=-1)]).all())
 
 
 def check_rulers(rec: Recording, loads: PoseLoads, xy: Array) -> None:
@@ -362,15 +328,14 @@ def read_points(rec: Recording, loads: PoseLoads) -> PosePoints:
     """The table of points, on a grid of poses and points, in the beam's frame; and points of its curves."""
     entry = rec.poses
     assert entry is not None
-    known = ("id", "order", "x_m", "angle_deg", *SDS)
+    known = ("id", "order", "x_m", "angle_deg", "sd_m")
     table = read_columns(entry.file, ("y_m",), known, labels=("pose",), kind="table of poses", strict=True)
     ids = [tag.id for tag in rec.tags.on_beam]
     strange = np.array([name not in loads.names for name in table.labels["pose"]])
     table.refuse(strange, f"the pose is not in {entry.loads.name}. Name it there, without a load if it has none.")
     drawn = curve_rows(table, "" if ids else "[[points]]")
     table.refuse(~drawn & ~np.isin(table.get("id"), ids), f"id is none of the points in recording.toml ({ids}).")
-    for name in SDS:
-        table.refuse(table.get(name) <= 0.0, f"{name} must be above zero.")
+    table.refuse(table.get("sd_m") <= 0.0, "sd_m must be above zero.")
     readings = readings_of(rec, loads, table)
     pose = np.array([loads.names.index(name) for name in table.labels["pose"]])
     rows = np.flatnonzero(~drawn)
@@ -384,7 +349,7 @@ def read_points(rec: Recording, loads: PoseLoads) -> PosePoints:
             f'{rec.name}: axes = "room" needs the clamp\'s angle. Give base_angle_deg in [gravity], or clamp_deg with '
             "the loads."
         )
-    grids = {name: np.full(shape, np.nan) for name in ("x_m", "y_m", "angle_deg", *SDS)}
+    grids = {name: np.full(shape, np.nan) for name in ("x_m", "y_m", "angle_deg", "sd_m")}
     for name, grid in grids.items():
         grid[tuple(np.array(cells, dtype=int).reshape(-1, 2).T)] = table.get(name)[rows]
     given = np.stack([grids["x_m"], grids["y_m"]], axis=-1)
@@ -397,7 +362,7 @@ def read_points(rec: Recording, loads: PoseLoads) -> PosePoints:
         )
     angle = np.radians(grids["angle_deg"]) - (loads.clamp[:, None] if room else 0.0)
     s = np.array([tag.s for tag in rec.tags.on_beam])
-    covariance, sd_known = point_covariances(entry, rec.beam.length, s, xy, angle, grids)
+    covariance, sd_known = point_covariances(entry, rec.beam.length, xy, angle, grids["sd_m"])
     xy, covariance = with_zero(readings, xy, covariance)
     remarks = reading_remarks(loads, readings)
     remarks += () if sd_known else (Remark("note", "How exactly the points were measured is estimated from the fit."),)

@@ -10,9 +10,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
@@ -20,8 +18,7 @@ from onebend.beam.model import Beam
 from onebend.beam.stiffness import Band, Profile, UncertainStiffness
 from onebend.errors import MechanicsError, OnebendError
 from onebend.learning.frames import distances
-from onebend.learning.outcome import Comparison, Explained, Learned, Trial
-from onebend.learning.posterior import Nuisance
+from onebend.learning.outcome import Comparison, Explained
 from onebend.learning.run import Run
 from onebend.learning.validation import solved_frames
 from onebend.learning.verdict import explained
@@ -64,7 +61,6 @@ from onebend.text_files import figure_text
 MM = 1000.0
 GREY = "#98a2b3"
 _S = np.linspace(0.0, 1.0, 401)
-_SAID = 0.05  # of the prior sd: least shrinkage or value to be shown
 
 
 @styled
@@ -155,32 +151,6 @@ def _places(axes: Axes, tags: Mapping[int, float], push_s: float | None) -> None
     if push_s is not None and push_s < 0.999:
         axes.axvspan(push_s, 1.0, facecolor="none", edgecolor=FAINT, hatch="///", linewidth=0)
         axes.annotate("never loaded", ((1 + push_s) / 2, 0.5), xycoords=("data", "axes fraction"), ha="center")
-
-
-def told(every: Sequence[Nuisance]) -> list[Nuisance]:
-    """Nuisances with information in the data; at most the 40 best."""
-    said = np.array([max(1.0 - n.sd / n.prior_sd, abs(n.value) / n.prior_sd) for n in every])
-    most = np.argsort(-said, kind="stable")[:40]
-    return [every[i] for i in sorted(most.tolist()) if said[i] > _SAID]
-
-
-@styled
-def nuisances(rows: Sequence[Nuisance]) -> Figure:
-    """Nuisances in units of their prior sd: prior grey, posterior blue."""
-    figure, (axes,) = blank(0.9 + 0.24 * len(rows))
-    value, sd = (
-        np.array(column) for column in zip(*((n.value / n.prior_sd, n.sd / n.prior_sd) for n in rows), strict=True)
-    )
-    axes.barh(range(len(rows)), 2.0, left=-1.0, height=0.72, color=FAINT, alpha=0.7)
-    axes.errorbar(value, range(len(rows)), xerr=sd, fmt="o", color=BLUE, markersize=4.5, elinewidth=1.6, capsize=2.5)
-    axes.axvline(0.0, color=MUTED, linewidth=0.8)
-    axes.set_yticks(range(len(rows)), [figure_text(n.name) for n in rows], color=INK)
-    axes.invert_yaxis()
-    axes.grid(visible=False, axis="y")
-    reach = 1.15 * max((abs(n.value) + n.sd) / n.prior_sd for n in rows)
-    axes.set(xlim=(-max(reach, 1.3), max(reach, 1.3)))
-    axes.set(xlabel="value [sd before the data]\n(grey: one sd before; blue: value and one sd after)")
-    return figure
 
 
 LARGE = 0.99  # of the largest force: equivalent for display
@@ -405,40 +375,6 @@ def residuals(comparison: Comparison, title: str = "measured to simulated") -> F
 
 
 @styled
-def selection(learned: Learned) -> Figure:
-    """Map of the BIC over (n, m); the chosen pair framed, excluded ones grey."""
-    trials = learned.trials
-    ns, ms = sorted({trial.n for trial in trials}), sorted({trial.m for trial in trials})
-    figure, (axes,) = blank(0.42 * len(ns) + 1.3)
-    running = [trial.bic for trial in trials if np.isfinite(trial.bic)]
-    low = min(running, default=0.0)
-    scale = Normalize(0.0, max(max(running, default=1.0) - low, 1e-9))
-    colours = LinearSegmentedColormap.from_list("quiet", ["#2c7fb8", "#bfdcec", "#f5f7fa"])
-    axes.grid(visible=False)
-    for i, trial in enumerate(trials):
-        x, y = ms.index(trial.m), ns.index(trial.n)
-        above = trial.bic - low
-        inside = bool(np.isfinite(trial.bic))
-        face = colours(scale(above)) if inside else "#eceef1"
-        axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=face, edgecolor="white", linewidth=2))
-        dark = inside and float(np.dot(face[:3], (0.299, 0.587, 0.114))) < 0.55
-        axes.text(x, y, _cell(trial), ha="center", va="center", color="white" if dark else INK, fontsize=8.5)
-        if i == learned.chosen:
-            box = Rectangle((x - 0.47, y - 0.44), 0.94, 0.88, fill=False, edgecolor=ORANGE, linewidth=2.4, zorder=5)
-            axes.add_patch(box)
-    axes.set(xlim=(-0.5, len(ms) - 0.5), ylim=(len(ns) - 0.5, -0.5))
-    axes.set_xticks(range(len(ms)), [str(m) for m in ms])
-    axes.set_yticks(range(len(ns)), [str(n) for n in ns])
-    axes.set(xlabel="stiffness functions m", ylabel="curvature modes n")
-    axes.set_title("BIC (lower is better; framed: chosen; grey: out of the running)")
-    return figure
-
-
-def _cell(trial: Trial) -> str:
-    return f"{trial.bic:.0f}" if np.isfinite(trial.bic) else "out"
-
-
-@styled
 def force(observations: Observations, fitted: Explained | None = None) -> Figure:
     """Force in time: film, contact, tare; the fit's force dashed."""
     clean = observations.source.clean_force
@@ -494,8 +430,6 @@ def draw_all(findings: Run, *, frames: KeptFrames | None = None, progress: Progr
     """All figures in the page's order. Frames missing in `frames` are read."""
     wanted: dict[str, Draw] = {"stiffness": partial(_stiffness, findings)}
     posterior = findings.posterior
-    if posterior is not None and (rows_told := told(posterior.nuisances())):
-        wanted["nuisances"] = partial(nuisances, rows_told)
     if only_frequencies(findings.recordings):  # no tags
         return draw(wanted, progress)
     fits: Sequence[Explained | None] = [None] * len(findings.trainings) if posterior is None else explained(posterior)
@@ -504,7 +438,7 @@ def draw_all(findings: Run, *, frames: KeptFrames | None = None, progress: Progr
 
 
 def _of_recordings(findings: Run, fits: Sequence[Explained | None], kept: KeptFrames) -> dict[str, Draw]:
-    beam, learned = findings.beam, findings.learned
+    beam = findings.beam
     training, recording = findings.trainings[0], findings.recordings[0]
     wanted: dict[str, Draw] = {
         "fit": partial(fit, beam, training, recording, fits[0], kept),
@@ -522,8 +456,6 @@ def _of_recordings(findings: Run, fits: Sequence[Explained | None], kept: KeptFr
         if fitted is None or not observations.static:  # for static poses only the fit's distance counts
             under = words_of(observations).under
             wanted[f"{before}residuals"] = partial(residuals, comparison, under)
-    if learned is not None:
-        wanted["selection"] = partial(selection, learned)
     if not recording.static:
         wanted["force"] = partial(force, recording, fits[0])
     pairs = list(zip(findings.validations, findings.validation_observations, strict=True))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from string import Formatter
@@ -38,15 +38,14 @@ class KindWords:
     frames: str  # several of its instants
     under: str  # loads of the uncorrected simulation
     inputs: str  # heading of the inputs
-    gone_by: str  # duration to compare work with; may be empty
 
 
 WORDS: dict[Kind, KindWords] = {
-    "film": KindWords("film", "frames", "under the force as logged", "Force and clock", "video"),
-    "tracks": KindWords("tracks", "frames", "under the force as logged", "Force and clock", "recording"),
-    "photos": KindWords("photos", "photos", "under the loads as written", "Loads and photos", ""),
-    "poses": KindWords("poses", "poses", "under the loads as written", "Loads and points", ""),
-    "frequencies": KindWords("frequencies", "frequencies", "as it swings", "Frequencies", ""),
+    "film": KindWords("film", "frames", "under the force as logged", "Force and clock"),
+    "tracks": KindWords("tracks", "frames", "under the force as logged", "Force and clock"),
+    "photos": KindWords("photos", "photos", "under the loads as written", "Loads and photos"),
+    "poses": KindWords("poses", "poses", "under the loads as written", "Loads and points"),
+    "frequencies": KindWords("frequencies", "frequencies", "as it swings", "Frequencies"),
 }
 
 
@@ -97,21 +96,8 @@ def _shown(observations: Observations) -> str:
 
 
 UNKNOWN = "–"
-NOT_WORTH_A_ROW = 0.005  # s
 SMALL = 9.5e-5  # m: shown with two digits
 
-FILES = {
-    "model.json": "the learned beam; load_model reads it",
-    "stiffness.csv": "k(s) at 201 places, with its 95 % band",
-    "nuisances.csv": "what else was fitted, before and after the data",
-    "selection.csv": "the paper's regression: every n (curvature modes) and m (stiffness functions)",
-    "markers.csv": "measured and simulated markers, every frame and recording",
-    "validation.csv": "RMS per tag of the recordings validated on, as the paper's Tables IV to VI",
-    "observations.parquet": "what the recording said, so that its files are not needed again",
-    "summary.json": "the figures of this page for scripts, in SI",
-    "report.html": "this page",
-    "figures/": "every figure as a PNG",
-}
 _LINEAR = 1.0  # change of log k up to which first order holds
 ANOTHER = "another"
 
@@ -150,20 +136,9 @@ def bic_words(bic: float) -> str:
     return f"{bic:.1f}" if np.isfinite(bic) else UNKNOWN
 
 
-def percent(part: float, whole: float) -> str:
-    """A dash without a whole."""
-    return f"{100.0 * part / whole:.0f} %" if whole > 0.0 else UNKNOWN
-
-
 def counted(count: int, what: str) -> str:
     """ "1 warning", "2 warnings"."""
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
-
-
-def stage_rows(seconds: Mapping[str, float]) -> list[tuple[str, float]]:
-    """Stages above a threshold, and the sum."""
-    rows = [(name, value) for name, value in seconds.items() if value >= NOT_WORTH_A_ROW]
-    return [*rows, ("together", sum(seconds.values()))]
 
 
 def worst_tag(comparison: Comparison) -> str:
@@ -287,16 +262,6 @@ def _allowed(findings: Run) -> str:
     inside = {one.name for recording in findings.posterior.recordings for one in recording.allowances}
     names = [name for name, blocks in GROUPS.items() if inside & set(blocks)]
     return f"The fit also allows for {', '.join(names)}." if names else none
-
-
-def files_described(findings: Run) -> list[tuple[str, str]]:
-    """Files of a results folder."""
-    absent = {
-        "validation.csv": not findings.validations,
-        "nuisances.csv": findings.posterior is None,
-        "selection.csv": findings.learned is None,
-    }
-    return [(name, what) for name, what in FILES.items() if not absent.get(name, False)]
 
 
 def change_words(shift: float) -> str:

@@ -19,7 +19,7 @@ from onebend.learning.swing import FoundFrequencies, SwingFit
 from onebend.learning.verdict import fitted_rms, possible
 from onebend.records import Observations
 from onebend.report.confidence import identified_ranges
-from onebend.report.page import page, shown_made_from
+from onebend.report.page import page
 from onebend.report.pictures import Pictures
 from onebend.report.sentences import all_remarks, pair_remarks, worded, words
 from onebend.report.verdict import validation_verdict, verdict_of
@@ -46,7 +46,7 @@ def learned_writer(
     def write(folder: Path) -> None:
         write_tables(folder)
         if pictures is not None:
-            shown = shown_made_from(made_from)
+            shown = made_from.get("provenance")
             html = page(findings, pictures.drawn, version=version, made_from=shown, film=pictures.film)
             (folder / "report.html").write_text(html, encoding="utf-8")
             pictures.write(folder / "figures")

@@ -11,11 +11,12 @@ from scipy.linalg import toeplitz
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers
 from onebend.lab.bench import ForceSensor, PushProfile
-from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_from_truth, virtual_recording
+from onebend.lab.virtual import VirtualBench, VirtualRecording, virtual_recording
 from onebend.learning.force_error import force_error
 from onebend.learning.instruments import setup_of
 from onebend.learning.posterior import Posterior, fit
 from onebend.records import Array, Observations
+from tests.lab.from_truth import observe_from_truth
 from tests.learning.bench import IDEAL
 from tests.made_up import with_source, with_stated
 

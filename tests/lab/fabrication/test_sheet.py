@@ -224,15 +224,13 @@ def test_the_command_refuses_in_one_message(tmp_path: Path, asked: list[str], sa
 
 
 def test_the_commands_replace_no_file_unasked(tmp_path: Path) -> None:
-    mine = {name: tmp_path / name for name in ("t.pdf", "d.csv", "d.png", "m.json", "b-2.svg")}
+    mine = {name: tmp_path / name for name in ("t.pdf", "m.json", "b-2.svg")}
     for path in mine.values():
         path.write_text("mine", encoding="utf-8")
     bundled = Path(__file__).parents[3] / "examples" / "linear-beam" / "train"
     for asked in (
         ["tags", "--ids", "0", "-o", str(mine["t.pdf"])],
         ["tags", str(bundled), "-o", str(tmp_path / "b.svg")],
-        ["design", "linear", "--csv", str(mine["d.csv"])],
-        ["design", "linear", "--picture", str(mine["d.png"]), "--csv", str(tmp_path / "new.csv")],
         ["design", "linear", "--model", str(mine["m.json"])],
     ):
         done = CliRunner().invoke(app, asked)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from scipy.stats import norm, truncnorm
+from scipy.stats import multivariate_normal, norm, truncnorm
 
 from onebend.learning.allowances import ANYTHING, POSITIVE, RARE, TOLERATED
 from onebend.learning.parameters import Block
@@ -23,6 +23,12 @@ def through(site: tuple[Array, Array], measured: float | Array, noise: float) ->
     """Mean and sd under a normal prior, of a measured value."""
     precision = 1.0 / site[1] ** 2 + 1.0 / noise**2
     return (site[0] / site[1] ** 2 + measured / noise**2) / precision, 1.0 / np.sqrt(precision)
+
+
+def renewed(one: Block, site: tuple[Array, Array], measured: float, noise: float) -> tuple[Array, Array]:
+    """The site after a measured value."""
+    mean, sd = through(site, measured, noise)
+    return updated(one, site, mean, np.diag(sd**2))
 
 
 def exact(one: Block, measured: float, noise: float) -> tuple[float, float]:
@@ -62,7 +68,7 @@ def test_moments_between_bounds_are_those_of_the_truncated_normal(
 def test_one_measured_parameter_has_the_exact_mean_and_sd(one: Block, measured: float, noise: float) -> None:
     """With one normal measurement, expectation propagation is exact after one update."""
     first = first_site(one)
-    site = updated(one, first, *through(first, measured, noise))
+    site = renewed(one, first, measured, noise)
     mean, sd = through(site, measured, noise)
     wanted = exact(one, measured, noise)
     assert mean[0] == pytest.approx(wanted[0], abs=2e-3)
@@ -73,18 +79,23 @@ def test_one_measured_parameter_has_the_exact_mean_and_sd(one: Block, measured: 
         assert abs(site[0][0]) <= widest  # no force without a place to rest
 
 
-@pytest.mark.parametrize("measured", [(0.0, 0.01, -0.02), (0.4, 0.0, 0.02), (0.3, -0.5, 0.2)])
-def test_the_size_of_all_is_that_of_each_weighed_together(measured: tuple[float, ...]) -> None:
-    """Against the sum over sizes, each with the evidence of all three measurements."""
+@pytest.mark.parametrize("values", [(0.0, 0.01, -0.02), (0.4, 0.0, 0.02), (0.3, -0.5, 0.2)])
+@pytest.mark.parametrize("onto", [np.eye(3), np.array([[1.0, -1.0, 0.0], [0.0, 1.0, -1.0]])])
+@pytest.mark.parametrize("before", [0.05, 0.3, 2.0])
+def test_one_size_of_all_follows_from_what_the_data_alone_say(
+    values: tuple[float, ...], onto: Array, before: float
+) -> None:
+    """Against the evidence of each size by the density of the measurements, for data that tell all parameters or only
+    their differences. The site before does not matter."""
     one = replace(block(sizes=TOLERATED), prior_sd=np.full(3, 0.3), labels=("a", "b", "c"), together=True)
-    noise, first, values = 0.1, first_site(one), np.array(measured)
-    sizes = 0.3 * np.array(TOLERATED)[:, None]
-    evidence = np.prod(norm.pdf(values, scale=np.hypot(sizes, noise)), axis=1)
-    means = values * sizes**2 / (sizes**2 + noise**2)
-    mean = evidence @ means / np.sum(evidence)
-    seen, sd = through(first, values, noise)
-    found, _ = through(updated(one, first, seen, sd), values, noise)
-    np.testing.assert_allclose(found, mean, atol=2e-3)
+    noise, data = 0.1, onto @ np.array(values)
+    covariances = [noise**2 * np.eye(len(onto)) + (0.3 * size) ** 2 * onto @ onto.T for size in TOLERATED]
+    evidence = np.array([multivariate_normal.pdf(data, cov=each) for each in covariances])
+    wanted = 0.3 * np.sqrt(evidence @ np.square(TOLERATED) / np.sum(evidence))
+    covariance: Array = np.asarray(np.linalg.inv(onto.T @ onto / noise**2 + np.eye(3) / before**2))
+    site = updated(one, (np.zeros(3), np.full(3, before)), covariance @ onto.T @ data / noise**2, covariance)
+    np.testing.assert_array_equal(site[0], 0.0)
+    np.testing.assert_allclose(site[1], wanted, rtol=1e-6)
 
 
 def test_a_sparse_parameter_shrinks_where_nothing_is_seen_and_stays_where_much_is() -> None:
@@ -92,7 +103,7 @@ def test_a_sparse_parameter_shrinks_where_nothing_is_seen_and_stays_where_much_i
     little, much = 0.02, 0.6
     for measured, shrinks in ((little, True), (much, False)):
         first = first_site(sparse)
-        found = through(updated(sparse, first, *through(first, measured, 0.05)), measured, 0.05)[0][0]
+        found = through(renewed(sparse, first, measured, 0.05), measured, 0.05)[0][0]
         usual = through((np.zeros(1), plain.prior_sd), measured, 0.05)[0][0]
         assert (found < 0.8 * usual) == shrinks
         assert found == pytest.approx(measured, rel=0.06) or shrinks

@@ -118,13 +118,9 @@ def test_what_the_driver_says_is_the_camera_by_ros_2_and_ros_1(tmp_path: Path) -
     assert said == ["The camera is that of /camera_info: lens plumb_bob."]
 
 
-def test_binning_and_a_part_of_the_sensor_are_allowed_for(tmp_path: Path) -> None:
-    part = {"x_offset": 100, "y_offset": 40, "width": 400, "height": 200}
-    said = info(binning_x=2, binning_y=2, roi=part)
-    camera = camera_of(tmp_path, [said], size=(200, 100))
-    assert (camera.width, camera.height, camera.fx, camera.fy) == (200, 100, 300.0, 300.5)
-    # A pixel of four has its centre half a small pixel right of and below the first of them.
-    assert (camera.cx, camera.cy) == ((322.0 - 100.0 - 0.5) / 2, (177.0 - 40.0 - 0.5) / 2)
+def test_a_part_of_the_sensor_or_a_binned_picture_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="Record the picture that was calibrated"):
+        camera_of(tmp_path, [info(binning_x=2, binning_y=2)], size=(320, 180))
 
 
 def test_rectified_pictures_have_the_matrix_p_and_no_lens(tmp_path: Path) -> None:

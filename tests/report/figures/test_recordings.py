@@ -39,12 +39,10 @@ def every_figure() -> dict[str, Figure]:
             learned.beam, tags=dict(zip(ONE.tag_id.tolist(), ONE.marker_s.tolist(), strict=True)), push_s=0.8
         ),
         "band": curves.stiffness(FIT.beam, uncertain=FIT.stiffness, regression=learned.beam.stiffness, push_s=0.8),
-        "nuisances": curves.nuisances(FIT.nuisances()),
         "fit": recordings.fit_over_frame(IMAGE, SEEN.source.view, learned.beam, ONE, SEEN),
         "shapes": recordings.shapes(learned.beam, ONE, SEEN),
         "markers": recordings.markers(ONE),
         "residuals": recordings.residuals(ONE),
-        "selection": recordings.selection(learned),
         "force": recordings.force(SEEN),
         "validation": recordings.validation((ONE, made_up.comparison("other"))),
     }
@@ -223,12 +221,6 @@ def test_few_frames_unknown_sensor_and_no_force_log() -> None:
     png_of(recordings.force(with_source(SEEN, clean_force=None)))
     unknown = replace(ONE, rms=np.full(3, np.nan), sensor_rms=np.full(3, np.nan))
     png_of(recordings.validation((unknown,)))
-
-
-def test_all_trials_out_of_the_running_can_be_drawn() -> None:
-    learned = made_up.learned(ONE)
-    out = tuple(replace(trial, bic=float("inf"), why_out="k(s) is not positive") for trial in learned.trials)
-    png_of(recordings.selection(replace(learned, trials=out)))
 
 
 def with_markers(count: int) -> Comparison:

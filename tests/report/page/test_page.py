@@ -24,7 +24,6 @@ from onebend.report.sentences import (
     inputs,
     millimetres,
     pair_remarks,
-    percent,
     significant,
     worded,
     worst_tag,
@@ -71,12 +70,10 @@ def drawn() -> dict[str, bytes]:
 def test_every_figure_of_the_findings_is_drawn_and_shown(drawn: dict[str, bytes]) -> None:
     expected = {
         "stiffness",
-        "nuisances",
         "shapes",
         "markers",
         "residuals",
         "fitted",
-        "selection",
         "force",
         "validation",
     }
@@ -216,8 +213,6 @@ def test_small_words() -> None:
     assert millimetres(3.93e-5) == "0.039"  # 0.04 says less than the fit knows, 0.00 of 4.2 um nothing
     assert millimetres(4.2e-6) == "0.0042"
     assert millimetres(0.0) == "0.00"
-    assert percent(1.0, 4.0) == "25 %"
-    assert percent(1.0, 0.0) == "–"
     assert worst_tag(replace(made_up.comparison(), rms=np.full(3, np.nan))) == "–"
 
 

@@ -5,13 +5,10 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-import shlex
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from datetime import datetime
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from importlib.resources import files
-from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -57,7 +54,7 @@ def _environment(package: str, name: str) -> Environment:
     environment = Environment(
         loader=FunctionLoader(source), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
-    environment.filters["code"] = code_in
+    environment.filters |= {"code": code_in, "line": one_line, "json": to_json}
     return environment
 
 
@@ -257,73 +254,6 @@ def _short(values: Array) -> list[float]:
     return [float(f"{value:.6g}") for value in values]
 
 
-_MOST_NAMED = 4  # files in a sentence
-_UNITS = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
-
-
-@dataclass(frozen=True)
-class ReadFile:
-    path: str
-    name: str
-    size: str
-    checksum: str
-
-
-@dataclass(frozen=True)
-class MadeFrom:
-    """Provenance of a report."""
-
-    written: str  # date and time
-    command: str
-    names: str  # of the first files
-    files: tuple[ReadFile, ...]
-    changed: tuple[str, ...]  # files changed while read
-    settings: tuple[tuple[str, str], ...]
-    versions: str
-
-
-def shown_made_from(provenance: Mapping[str, Any]) -> MadeFrom | None:
-    """From `provenance` of `summary.json`, or None."""
-    found = provenance.get("provenance")
-    if found is None:
-        return None
-    when = datetime.fromisoformat(found["written"])
-    versions = [f"{name} {value}" for name, value in found["versions"].items() if value]
-    files = tuple(_file(one) for one in found["inputs"])
-    more = f" and {len(files) - _MOST_NAMED} more files" if len(files) > _MOST_NAMED else ""
-    return MadeFrom(
-        written=f"{when:%Y-%m-%d %H:%M} UTC",
-        command=one_line(shlex.join(found["command"])),
-        names=", ".join(dict.fromkeys(one.name for one in files[:_MOST_NAMED])) + more,
-        files=files,
-        changed=tuple(one_line(path) for path in found["changed_meanwhile"]),
-        settings=tuple(_flat({**found["settings"], "options": found["options"]})),
-        versions=one_line(", ".join([*versions, found["system"]])),
-    )
-
-
-def _file(one: Mapping[str, Any]) -> ReadFile:
-    path = one_line(one["file"])
-    return ReadFile(path, PurePath(path).name, size_words(one["bytes"]), one["sha256"] or sentences.UNKNOWN)
-
-
-def size_words(count: int) -> str:
-    """Bytes, three digits."""
-    for size, unit in _UNITS:
-        if count >= size:
-            return f"{count / size:.3g} {unit}"
-    return f"{count} bytes"
-
-
-def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{before}{name}: ")
-        elif value is not None and value != []:
-            words = ", ".join(map(str, value)) if isinstance(value, list) else str(value)
-            yield one_line(before + name), one_line(words)
-
-
 FAMILIES = {"gaussians": "Gaussians", "powers": "powers of s"}
 METHODS = {"regression": "regression", "paper": "the paper's literal regression"}
 
@@ -333,10 +263,11 @@ def page(
     figures: Mapping[str, bytes],
     *,
     version: str,
-    made_from: MadeFrom | None = None,
+    made_from: Mapping[str, Any] | None = None,
     film: FilmStrip | None = None,
 ) -> str:
-    """The report as HTML. `figures`: PNGs by name, as from `drawing.draw_all`; missing ones are left out."""
+    """The report as HTML. `figures`: PNGs by name, as from `figures.draw_all`; missing ones are left out. `made_from`:
+    the `provenance` of `summary.json`."""
     content: dict[str, Any] = {"version": version, "made_from": made_from, "film": film, **_content(findings)}
     content["data"] = script_data(findings, film)
     return render(COMMON, "page.html", figures, content, scripts=SCRIPTS)
@@ -375,9 +306,6 @@ def _content(findings: Run) -> dict[str, Any]:
         "validation_figures": _validation_captions(findings.validations),
         "inputs": [(recording.source.name, sentences.inputs(recording)) for recording in findings.recordings],
         "assumptions": sentences.assumptions(findings),
-        "files": sentences.files_described(findings),
-        "stages": _stage_rows(findings),
-        "video": f"{significant(findings.video_seconds)} s" if findings.video_seconds > 0.0 else "",
     }
 
 
@@ -488,10 +416,3 @@ def _learned_captions(findings: Run) -> list[tuple[str, str]]:
         captions.append((f"learned-{i}-fitted", f"{comparison.name}: what the fit leaves of the tags."))
         captions.append((f"learned-{i}-residuals", f"{comparison.name}: measured to simulated {words.under}."))
     return captions
-
-
-def _stage_rows(findings: Run) -> list[dict[str, str]]:
-    return [
-        {"name": name, "seconds": f"{seconds:.2f}", "share": sentences.percent(seconds, findings.video_seconds)}
-        for name, seconds in sentences.stage_rows(findings.stage_seconds)
-    ]
