@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -16,10 +17,11 @@ from typer.testing import CliRunner, Result
 
 from onebend.cli import app
 from onebend.drive import commands, specs
+from onebend.drive.plan import DriveSettings
 from onebend.drive.robots import FCI, FrankaArm, pose_of
 from onebend.drive.run import drive
 from onebend.drive.specs import robot_of
-from onebend.drive.virtual import VirtualCell
+from onebend.drive.virtual import VirtualCell, VirtualSetup
 from onebend.errors import MissingPackageError, RecordingError
 from onebend.live.sources import HostClock, PlayedClock
 from onebend.recording.folder import read_recording
@@ -75,6 +77,25 @@ def test_what_cannot_be_is_refused(words: tuple[str, ...], says: str, bench: Pat
     assert says in " ".join(done.output.split())
     assert "Traceback" not in done.output
     assert not (bench / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("sensor", "spec", "white"),
+    [
+        ("", "virtual:linear", 0.005),
+        ("franka-estimate", "virtual:linear", 0.035),
+        ("", "virtual:linear,white_N=1", 1.0),
+    ],
+)
+def test_a_virtual_robot_has_the_noise_of_the_stated_sensor(
+    sensor: str, spec: str, white: float, bench: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setups: list[VirtualSetup] = []
+    monkeypatch.setattr(specs, "VirtualRobot", setups.append)
+    rec = read_recording(bench / "like", filmed=False)
+    assert rec.force is not None
+    robot_of(spec)(replace(rec, force=replace(rec.force, sensor=sensor)), DriveSettings())
+    assert setups[0].white == white
 
 
 def test_a_goal_beyond_reach_names_the_nearest(bench: Path) -> None:

@@ -145,6 +145,7 @@ def test_goals_in_time_are_passed_when_their_time_is_over(tmp_path: Path) -> Non
     assert outcome.good, outcome.drive.events
     first, second, last = outcome.drive.outcomes
     assert [first.seconds, second.seconds] == pytest.approx([1.0, 1.0], abs=0.05)
+    assert [math.isnan(one.said) for one in (first, second, last)] == [True, True, False]
     assert last.seconds > 1.0  # it waits until it is there
     assert np.linalg.norm(last.seen - wanted[-1][1]) < last.said
     assert cell.largest < QUICK.limits.force

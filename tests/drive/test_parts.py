@@ -19,7 +19,7 @@ from onebend.drive.plan import DriveLimits, DriveSettings, gravity_of, make_plan
 from onebend.drive.robots import FCI, SmoothFollower, ToolForce, ToolPose, pose_of
 from onebend.drive.seeing import DelayMeter, SeenBeam, point_between
 from onebend.drive.virtual import VirtualCell
-from onebend.errors import ControlError, RecordingError
+from onebend.errors import ControlError, ObservationError, RecordingError
 from onebend.learning.instruments import instruments_of
 from onebend.recording.entries import Recording
 from onebend.recording.folder import read_recording
@@ -167,6 +167,16 @@ def test_a_recorded_push_places_the_robot(tmp_path: Path) -> None:
     turned = [Rotation.from_matrix(one.rotation.T @ true).as_rotvec() for one in (found, stated)]
     assert abs(turned[0][2]) < 0.005 < abs(turned[1][2])  # in the plane of bending, where it counts
     assert found.to_base(np.array([LENGTH, 0.0])) == pytest.approx(setup.base + LENGTH * true[:, 0], abs=2e-3)
+    described_as = (folder / "recording.toml").read_text(encoding="utf-8")
+    on_tool = described_as.replace(", { id = 3, s = 1.0 }", "")  # the tag at the tip, where the tool is
+    (folder / "recording.toml").write_text(on_tool, encoding="utf-8")
+    by_tag = from_recording(read_recording(folder), tool_tag=3)
+    assert by_tag.source == f"tag 3 on the tool of {rec.name}"
+    assert abs(Rotation.from_matrix(by_tag.rotation.T @ true).as_rotvec()[2]) < 0.008  # the tag turns with the beam
+    assert by_tag.to_base(np.array([LENGTH, 0.0])) == pytest.approx(setup.base + LENGTH * true[:, 0], abs=2e-3)
+    with pytest.raises(ObservationError, match="tag 9 is in none of"):
+        from_recording(read_recording(folder), tool_tag=9)
+    (folder / "recording.toml").write_text(described_as, encoding="utf-8")
     log = folder / "force.csv"
     lines = [",".join(line.split(",")[:4]) for line in log.read_text(encoding="utf-8").splitlines()]
     log.write_text("\n".join(lines) + "\n", encoding="utf-8")

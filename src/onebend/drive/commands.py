@@ -186,9 +186,9 @@ def _answer(outcome: DriveOutcome, *, data_alone: bool) -> None:
     else:
         for one in made.outcomes:
             off, x, y = 1e3 * float(np.linalg.norm(one.seen - one.goal)), *(1e3 * one.goal)
-            said = f"said: to {1e3 * one.said:.2g} mm"
-            common.say(
-                f"({x:.4g}, {y:.4g}) mm: {'reached' if one.reached else 'not reached'}, seen {off:.2g} mm off ({said})"
-            )
+            passed = math.isnan(one.said)
+            word = "not reached" if not one.reached else "passed in time" if passed else "reached"
+            said = "" if passed else f" (said: to {1e3 * one.said:.2g} mm)"
+            common.say(f"({x:.4g}, {y:.4g}) mm: {word}, seen {off:.2g} mm off{said}")
         learning = made.plan.remarks or (f"learn from it with: onebend learn {folder}",)
         common.say(f"Recorded {folder}; {learning[0]}")

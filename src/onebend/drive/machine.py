@@ -68,7 +68,7 @@ class GoalOutcome:
     reached: bool
     seconds: float  # from its beginning
     seen: Array  # (2,) m, mean place of the point while it stayed
-    said: float  # m, within which it was said to come to rest (95 %)
+    said: float  # m, within which it was said to come to rest (95 %); NaN of a goal that is passed in time
     force: Array  # (2,) N asked for at the end
     felt: Array  # (2,) N measured there
 
@@ -614,7 +614,8 @@ class Drive:
         places = np.array([place for _, place in self._errors]).reshape(-1, 2)
         seen = places.mean(axis=0) if len(places) else np.full(2, np.nan)
         seconds, asked, felt = now - self._goal_begun, self._asked.copy(), self._felt.copy()
-        self.outcomes.append(GoalOutcome(self._control.goal, reached, seconds, seen, self.said, asked, felt))
+        said = self.said if self.plan.goals[self._goal].waits else math.nan
+        self.outcomes.append(GoalOutcome(self._control.goal, reached, seconds, seen, said, asked, felt))
         if reached and self._goal + 1 < len(self.plan.goals):
             assert self._loop is not None
             self._to_goal(now, self._goal + 1, self._asked - self.plan.goals[self._goal + 1].control.reference.begins)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from onebend.lab.virtual import VirtualBench, VirtualTag
 from onebend.live.sources import CameraSource, ForceSource
 from onebend.live.specs import CAMERAS, FORCES, Options, SourceKind, made, number
 from onebend.recording.entries import Recording
+from onebend.recording.force_log import SENSOR_NOISE
 from onebend.results.model import FILE_NAME, read_model
 
 MakeRobot = Callable[[Recording, DriveSettings], Robot]
@@ -86,13 +88,16 @@ def _virtual(place: str, options: Options) -> MakeRobot:
     fps = number(options, "fps", 30.0, least=1.0, most=120.0)
     delay = 1e-3 * number(options, "delay_ms", 60.0, least=0.0, most=1000.0)
     lag = 1e-3 * number(options, "lag_ms", 20.0, least=0.0, most=1000.0)
-    white = number(options, "white_N", 0.005, least=0.0, most=10.0)
+    asked = number(options, "white_N", math.nan, least=0.0, most=10.0)
     effects = bool(number(options, "effects", 0.0, least=0.0, most=1.0))
     bench = _bench(place, factor, effects, seed)
 
     def virtual(rec: Recording, settings: DriveSettings) -> Robot:
         tags = tuple(VirtualTag(tag.id, tag.s) for tag in rec.tags.on_beam)
         here, holds = replace(bench, tags=tags), settings.hand == "hold"
+        assert rec.force is not None  # of a plan
+        known = (asked, rec.force.white_sd, SENSOR_NOISE.get(rec.force.sensor, VirtualSetup.white))
+        white = next(one for one in known if math.isfinite(one))  # so that the log is that of the stated sensor
         return VirtualRobot(VirtualSetup(here, rec, holds=holds, lag=lag, white=white, fps=fps, delay=delay, seed=seed))
 
     return virtual
