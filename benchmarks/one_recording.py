@@ -10,7 +10,6 @@ in every frame, in a part around every tag (cut by who knows already where the t
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import statistics
 import sys
@@ -58,19 +57,16 @@ FLOORS = {
 GOALS = {(): 6.0, ("--no-report",): 3.5}  # s of processor time, by the command's options
 
 
-def learned(folder: Path, options: tuple[str, ...], installed: str) -> tuple[float, float, dict[str, float]]:
-    """s of processor time, MB at the peak, and s of the wall by stage, of one run that finds no tags kept; in
-    `installed` it finds what belongs to the programs."""
+def learned(folder: Path, options: tuple[str, ...], installed: str) -> tuple[float, float]:
+    """s of processor time and MB at the peak of one run that finds no tags kept; in `installed` it finds what belongs
+    to the programs."""
     with tempfile.TemporaryDirectory() as place:
-        said = Path(place) / "said.json"
         words = ["-m", "onebend", "learn", str(folder), "-o", f"{place}/out", "--json", "--quiet", *options]
-        seconds, most = ran(words, installed, f"{place}/cache", said)
-        stages = json.loads(said.read_text(encoding="utf-8"))["stage_seconds"]
-    return seconds, most, stages
+        return ran(words, installed, f"{place}/cache")
 
 
-def ran(words: list[str], installed: str, cache: str, said: Path = Path(os.devnull)) -> tuple[float, float]:
-    """s of processor time, and MB at the peak, of Python with these words; `said`: the file for what it prints."""
+def ran(words: list[str], installed: str, cache: str) -> tuple[float, float]:
+    """s of processor time, and MB at the peak, of Python with these words."""
     own = {
         "PYTHONPYCACHEPREFIX": f"{installed}/bytecode",
         "MPLCONFIGDIR": f"{installed}/fonts",
@@ -78,7 +74,7 @@ def ran(words: list[str], installed: str, cache: str, said: Path = Path(os.devnu
     }
     environment = {**os.environ, **own}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
-    output = os.open(said, os.O_WRONLY | os.O_CREAT)
+    output = os.open(os.devnull, os.O_WRONLY)
     actions = [(os.POSIX_SPAWN_DUP2, output, 1)]
     process = os.posix_spawn(sys.executable, [sys.executable, *words], environment, file_actions=actions)
     _, status, used = os.wait4(process, 0)
@@ -115,24 +111,19 @@ def main() -> None:
     loop = time.process_time() - began
     print(f"{arguments.recording.name}; load of the machine {load:.1f}, three million additions take {loop:.2f} s.\n")
     print("| command | processor time [s], median | least | goal | MB at the peak |\n" + "| --- " * 5 + "|")
-    stages: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as installed:
         learned(arguments.recording, (), installed)
         for options, goal in GOALS.items():
             runs = [learned(arguments.recording, options, installed) for _ in range(arguments.repeats)]
-            spent = [seconds for seconds, _, _ in runs]
-            stages = stages or runs[0][2]
+            spent = [seconds for seconds, _ in runs]
             print(
                 f"| `{' '.join(('learn', *options))}` | {statistics.median(spent):.1f} | {min(spent):.1f} | {goal:g} "
-                f"| {max(mb for _, mb, _ in runs):.0f} |",
+                f"| {max(mb for _, mb in runs):.0f} |",
                 flush=True,
             )
         least = floors(arguments.recording, installed, arguments.repeats)
     print("\n| floor: the libraries by themselves | processor time [s], least |\n| --- | --- |")
     for name, seconds in least.items():
-        print(f"| {name} | {seconds:.2f} |")
-    print("\n| stage | s of the wall |\n| --- | --- |")
-    for name, seconds in stages.items():
         print(f"| {name} | {seconds:.2f} |")
 
 

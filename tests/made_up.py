@@ -183,6 +183,4 @@ def findings(validations: int = 2, *, fitted: bool = True) -> Run:
         remarks=worded(learned(training).remarks),
         validations=tuple(others),
         validation_observations=tuple(observations(one.name, one) for one in others),
-        stage_seconds={"observe": 4.2, "states": 0.4},
-        video_seconds=18.0,
     )

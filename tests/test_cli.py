@@ -188,7 +188,6 @@ def test_json_is_one_object_and_nothing_else(tmp_path: Path, pipeline: list[dict
     chosen = data["regression"]["chosen"]
     assert (chosen["n"], chosen["m"]) == (4, 3)
     assert data["output"] == str(tmp_path / "out")
-    assert "report" in data["stage_seconds"]
     result = run("validate", tmp_path / "out", "A", "--json")
     assert json.loads(result.stdout)["validation"][0]["recording"] == "A"
     result = run("show", tmp_path / "out", "--json")

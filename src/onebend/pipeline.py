@@ -26,7 +26,7 @@ from onebend.learning.start import start_of, with_mass
 from onebend.learning.static_poses import stated_notices
 from onebend.learning.validation import validate
 from onebend.learning.verdict import fit_notices, mass_notices
-from onebend.progress import Progress, Silent, Stopwatch, one_blas_thread
+from onebend.progress import Progress, Silent, one_blas_thread
 from onebend.recording.entries import Recording
 from onebend.recording.folder import check_same_beam, check_same_length, read_recording
 from onebend.recording.observe import Detect, ObserveSettings, observe
@@ -66,9 +66,7 @@ def learn(
         read_recording(one)
     check_same_beam(wanted, jointly=fitting is not None)
     trials(settings, len(wanted[0].tags.on_beam) or FEW)  # mistakes in files and settings come out before the work
-    watch = Stopwatch(progress)
-    with watch.whole("observe"):
-        every = [observe(one, settings=observing, detect=detect, frames=frames, progress=watch) for one in wanted]
+    every = [observe(one, settings=observing, detect=detect, frames=frames, progress=progress) for one in wanted]
 
     def compared(beam: Beam, found: Posterior | None) -> list[tuple[Comparison, Observations]]:
         if not others:
@@ -81,10 +79,10 @@ def learn(
             observing=observing,
             detect=detect,
             frames=frames,
-            progress=watch,
+            progress=progress,
         )
 
-    return _learned(every, settings, fitting, compared, watch)
+    return _learned(every, settings, fitting, compared, progress)
 
 
 @one_blas_thread
@@ -96,7 +94,7 @@ def learn_observed(
 ) -> Run:
     """`learn` from what was observed already: one or several recordings of one beam, none to validate on. Raises
     `LearningError`: what is wrong with the observations, and what to do."""
-    return _learned(observed, settings, fitting, lambda _beam, _known: [], Stopwatch(progress))
+    return _learned(observed, settings, fitting, lambda _beam, _known: [], progress)
 
 
 def _learned(
@@ -104,28 +102,23 @@ def _learned(
     settings: RegressionSettings,
     fitting: FitSettings | None,
     validated: Callable[[Beam, Posterior | None], list[tuple[Comparison, Observations]]],
-    watch: Stopwatch,
+    progress: Progress,
 ) -> Run:
     """Regression, fit and validation, in order; `validated` compares the beam with other recordings."""
-    with watch.whole("observe"):
-        seen = with_mass(with_seen_tags(every))
-    with watch.whole("learn"):
-        learned, remarks = _regression(seen[0], settings, needed=fitting is None, progress=watch)
+    seen = with_mass(with_seen_tags(every))
+    learned, remarks = _regression(seen[0], settings, needed=fitting is None, progress=progress)
     posterior = None
     if fitting is not None:
-        with watch.whole("fit"):
-            posterior, said = _fit(seen, learned, fitting, watch)
+        posterior, said = _fit(seen, learned, fitting, progress)
         remarks += said
-    with watch.whole("validate"):
-        beam, trainings = _result(seen, learned, posterior)
-        sized = posterior is not None and not any(one.about == NO_MATERIAL for one in posterior.contradictions)
-        remarks += modulus_notices(beam, posterior.stiffness if posterior is not None and sized else None, seen)
-        pairs, said = _not_learned_from(validated(beam, posterior), seen)
-        remarks += said
+    beam, trainings = _result(seen, learned, posterior)
+    sized = posterior is not None and not any(one.about == NO_MATERIAL for one in posterior.contradictions)
+    remarks += modulus_notices(beam, posterior.stiffness if posterior is not None and sized else None, seen)
+    pairs, said = _not_learned_from(validated(beam, posterior), seen)
+    remarks += said
     failed = tuple(one.name for one, _ in pairs if one.failed)
     if posterior is not None and failed:  # else what was computed of it is kept
         posterior = replace(posterior, contradicted_by=failed)
-    films = (*seen, *(where for _, where in pairs))
     return Run(
         beam=beam,
         learned=learned,
@@ -135,8 +128,6 @@ def _learned(
         validations=tuple(one for one, _ in pairs),
         validation_observations=tuple(where for _, where in pairs),
         remarks=worded(remarks),
-        stage_seconds=watch.seconds,
-        video_seconds=sum(float(one.time[-1] - one.time[0]) for one in films if not one.static),
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -233,7 +232,6 @@ def learn(
                 frames=frames,
                 progress=progress,
             )
-        began = time.perf_counter()
         summary = learned_files.summary_of(run, written_by=BY)
         settled = {"fit": fit, "regression": settings, "observing": observing}
         tables = learned_files.tables_writer(run, version=onebend.__version__)
@@ -253,8 +251,7 @@ def learn(
                 pictures = draw_all(run, frames=frames, progress=progress)
             put(pictures)
     if as_json:
-        seconds = {**run.stage_seconds, "report": time.perf_counter() - began}
-        common.print_json({**summary, "stage_seconds": seconds, "output": str(out)})
+        common.print_json({**summary, "output": str(out)})
 
 
 def draw_all(run: Run, *, frames: KeptFrames, progress: Progress) -> Pictures:

@@ -23,8 +23,6 @@ class Run:
     validations: tuple[Comparison, ...]
     validation_observations: tuple[Observations, ...]
     remarks: tuple[Remark, ...]  # on the learning itself
-    stage_seconds: dict[str, float]
-    video_seconds: float  # length of all videos together, to compare the stages with
 
     def modulus(self, s: Array, level: float = 0.95) -> ModulusBand | None:
         """Young's modulus E(s) [Pa] at places s (S,), with its band if k(s) has one; None if no section is stated."""

@@ -123,8 +123,6 @@ def summary_of(findings: Run, *, written_by: str) -> dict[str, Any]:
         "validation": [comparison_summary(comparison) for comparison in findings.validations],
         "observed": [_observed(recording) for recording in findings.recordings],
         "remarks": [{"recording": whose, **remark.as_dict()} for whose, remark in all_remarks(findings)],
-        "stage_seconds": dict(findings.stage_seconds),
-        "video_seconds": findings.video_seconds,
     }
 
 

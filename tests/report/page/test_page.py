@@ -132,7 +132,7 @@ def test_bare_findings_make_a_page_without_empty_sections(fitted: bool) -> None:
     seen = with_stated(
         with_source(found.recordings[0], clean_force=None, clock=None, view=None, remarks=()), rest="unknown"
     )
-    bare = replace(found, recordings=(seen,), remarks=(), video_seconds=float("nan"))
+    bare = replace(found, recordings=(seen,), remarks=())
     bare = replace(bare, learned=None) if fitted else bare  # the regression found no beam
     links = Links(page(bare, draw_all(bare).drawn, version="1.2.3"))
     assert "Validation" not in links.text
