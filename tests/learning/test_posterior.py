@@ -47,7 +47,7 @@ def test_every_derivative_matches_differences(curved: Observations, weighs: bool
         curved = with_stated(replace(curved, gravity=gravity), mass=0.03)
     seen, at, x = prepared(curved, Priors(clock=0.02, placement=5e-4, origin=5e-4))
     assert ("mass", -1) in at.index
-    assert (at.columns("mass") is not None) == weighs
+    assert (at.columns("mass", 0) is not None) == weighs
     slopes = predict(seen, at, x, None).slopes
     exact, by_force = slopes.written, slopes.a
     h = 1e-5

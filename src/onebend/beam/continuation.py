@@ -34,6 +34,7 @@ from onebend.beam.problem import (
     remembered,
 )
 from onebend.beam.statics import (
+    TOLERANCE,
     Equilibrium,
     balance,
     correct,
@@ -299,6 +300,7 @@ class ContinuationSettings:
     tolerance_on_the_way: float = 1e-9  # before it: near a bifurcation tiny turns decide the side
     min_step: float = 1e-9  # share of the load: a shorter step has met the end of the branch
     max_steps: int = 400
+    last: float = TOLERANCE  # of an update near a known shape: a smaller one is the last, and its square is left
     at_once: bool = True  # no steps for frames whose loads all push to one side
 
 
@@ -455,9 +457,7 @@ def refine(problem: Problem, start: Array, *, settings: ContinuationSettings = C
     """Equilibria near known shapes `start` (T, Q) by Newton's method, else by `follow`."""
     full = np.ones(problem.size)
     trust, remaining = settings.max_turn * full, settings.tolerance * full
-    q, near, iterations = correct(
-        problem, start, full, trust=trust, remaining=remaining, max_iterations=settings.corrections
-    )
+    q, near, iterations = correct(problem, start, full, trust=trust, remaining=remaining, last=settings.last)
     near &= is_stable(problem, q)  # an unstable neighbour may belong to another branch
     found, lost = found_near(problem, q, near, iterations), np.flatnonzero(~near)
     return found.put(lost, follow(problem.take(lost), settings=settings)) if lost.size else found

@@ -232,7 +232,7 @@ class Response:
         if flat.shape[1] >= len(clamp):
             out = flat @ self.q
         else:
-            matrices = tangent(self.solved.problem, self.solved.q)
+            matrices = tangent(self.solved.problem, self.solved.q, forces=self.solved.forces)
             adjoint = transposed(solve_each(transposed(matrices), transposed(flat)))
             out = np.concatenate(
                 [adjoint_times(adjoint, self.solved, part) for _, part in self.perturbation.columns], axis=-1

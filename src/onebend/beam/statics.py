@@ -316,13 +316,20 @@ TOLERANCE = 3e-7  # rad, of the last update; the remaining error is its square
 
 
 def correct(
-    problem: Problem, start: Array, factor: Array, *, trust: Array, remaining: Array, max_iterations: int = 8
+    problem: Problem,
+    start: Array,
+    factor: Array,
+    *,
+    trust: Array,
+    remaining: Array,
+    max_iterations: int = 8,
+    last: float = TOLERANCE,
 ) -> tuple[Array, BoolArray, int]:
     """Newton from `start` (T, Q) with all loads times `factor` (T,).
 
     Returns the shapes, (T,) success, and the number of iterations. A frame succeeds if at most about `remaining` (T,)
     rad is left to turn and no update moved it further than `trust` (T,) rad from the start. After updates u and v,
-    `v (v / u)^2` is left; near a singular tangent an update below `TOLERANCE` suffices.
+    `v (v / u)^2` is left; near a singular tangent an update below `last` [rad] suffices.
     """
     q = start.copy()
     near = np.zeros(len(q), dtype=bool)
@@ -338,7 +345,7 @@ def correct(
         size = np.max(np.abs(turn), axis=-1)
         moved = moved + turn
         strayed = ~(np.max(np.abs(moved), axis=-1) < trust)
-        settled = size < TOLERANCE
+        settled = size < last
         if count > 1:
             settled |= size**3 < remaining * before**2
         q[todo] = q_now

@@ -694,7 +694,14 @@ def reach_in_setup(
                 return smaller
     if exact is None:
         alone = reach(beam, wanted, push_s=now.push_s, point_s=point_s, settings=settings)
-        raise ControlError("no force in this set-up puts the point on its goal" if alone.converged else alone.reason)
+        size = float(np.hypot(*alone.force))
+        raise ControlError(
+            f"no force in this set-up puts the point on its goal; the beam alone would need {size:.3g} N, and it was "
+            f"learned from {largest:.3g} N. Take a goal nearer to where the recording led the point, or learn from a "
+            "harder push"
+            if alone.converged
+            else alone.reason
+        )
     return answer(*exact)
 
 

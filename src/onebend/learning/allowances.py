@@ -681,6 +681,24 @@ def shift_of_lags(shares: Array, every: Array, q: Array, reached: Array) -> tupl
     return away / (1.0 - all_reached), by_shares
 
 
+@dataclass(frozen=True)
+class Memory:
+    """What a beam remembers in F frames of others before them: the curvatures that lag behind are `before + now q`, q
+    being the curvature over that at rest; for each of the n `TIMES`."""
+
+    before: Array  # (F, Q, n) rad
+    now: Array  # (F, n)
+    reached: Array  # (n,) parts of q that they are taken to reach
+
+    def lags(self, q: Array) -> Array:
+        """(F, Q, n) rad, of shapes bent by q (F, Q)."""
+        return self.before + self.now[:, None, :] * q[..., None]
+
+    def shift(self, shares: Array, q: Array) -> tuple[Array, Array]:
+        """See `shift_of_lags`."""
+        return shift_of_lags(shares, self.lags(q), q, self.reached)
+
+
 # Stretch and shear: 1/EA and 1/kGA follow from k(s) and the section's thickness squared. That square is the parameter,
 # so its effect on the tags is linear.
 

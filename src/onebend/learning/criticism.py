@@ -19,7 +19,7 @@ from onebend.learning.frames import unwhitened, whitened
 from onebend.learning.normal import JointCovariance
 from onebend.learning.optimizer import Optimum
 from onebend.learning.parameters import Layout
-from onebend.learning.prediction import Prediction, along_and_across, place_responses, push_moment
+from onebend.learning.prediction import Prediction, along_and_across, place_responses, push_moment, response_columns
 from onebend.progress import each
 from onebend.recording.signals import correlation_time
 from onebend.records import Array, IntArray
@@ -121,9 +121,10 @@ def alternatives(data: FitData, layout: Layout, now: Prediction) -> list[Alterna
 
 def mechanics(now: Prediction) -> dict[str, Array]:
     """(F, m, 3, n) per unit of what `UNITS` names, and of the clamp's angle ("clamp")."""
-    carried, ride = _carried(now), now.ride(now.solved)
+    carried, ride = _carried(now), now.riding
     patterns = {}
-    for name, part in place_responses(now.solved, _entering(now.data, now), now.places(now.solved)[0]).items():
+    columns = response_columns(_entering(now.data, now))
+    for name, part in place_responses(now.solved, columns, now.s).items():
         if name in carried:
             part[:, :, :2] += carried[name][..., None]
         patterns[name] = ride.carry(part)
@@ -165,7 +166,7 @@ def _along(s: Array) -> Array:
 
 def _carried(now: Prediction) -> dict[str, Array]:
     """(F, m, 2) m per unit that the tags move by without a turn of the beam: `r' = L (1 + e) u + L g n`."""
-    solved, s = now.solved, now.places(now.solved)[0]
+    solved, s = now.solved, now.s
     u, n = _tangents(solved)
     force, rows = solved.problem.dead_force, solved.problem.grid.integral_to(s)
     length = float(solved.problem.length)

@@ -43,7 +43,7 @@ class TagDerivatives:
     """Derivatives of tags' poses along one push: F frames, the last being the beam at rest; M places of tags."""
 
     tags: Array  # (M,)
-    blocks: dict[str, Array]  # (F, M, 3, n) of what bends the beam, by the names of `balance_changes` and `push_blocks`
+    blocks: dict[str, Array]  # (F, M, 3, n) of what bends the beam, by name
     motion: prediction.TagMotion  # with what holds the tags
 
     @property
@@ -95,11 +95,10 @@ def tag_derivatives(
         np.zeros_like(nodes),
         of_mass(problem, per_length, np.asarray(bench.gravity)[None]),
     )
-    changes = prediction.balance_changes(beam) | {
-        "place": prediction.push_moment(problem, push_s, across)
-    }  # between nodes, too
-    blocks = prediction.place_responses(solved, changes, tags)
-    blocks |= prediction.push_blocks(blocks["push"], pushed, np.eye(2), np.zeros_like(pushed))
+    changes = prediction.load_changes(beam) | {"place": prediction.push_moment(problem, push_s, across)}
+    blocks = prediction.place_responses(solved, prediction.response_columns(changes, beam), tags)
+    pushes = prediction.push_forces(pushed, np.eye(2), np.zeros_like(pushed))
+    blocks |= {name: blocks["push"] @ force[:, None] for name, force in pushes.items()}
     pose = np.concatenate([solved.xy(tags), solved.angle(tags)[..., None]], axis=-1)
     bend = apply(problem.grid.value_at(tags), solved.q) / bench.length
     nothing = np.zeros(len(tags))

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from onebend.beam.grid import Grid, Modes, angles, places, positions
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.model import Beam
-from onebend.beam.problem import Problem, make_problem, share_farther
+from onebend.beam.problem import Problem, Resolution, make_problem, share_farther
 from onebend.beam.sensitivity import Perturbation, of_mass
 from onebend.beam.stiffness import LogSpline, Profile, UncertainStiffness, Uniform
 from onebend.errors import LearningError
@@ -18,6 +18,7 @@ from onebend.learning.allowances import (
     Allowance,
     Entry,
     Film,
+    Memory,
     allowances_of,
     course_of,
     inertial_force,
@@ -213,6 +214,7 @@ class FitData:
     offset: Array  # (Q,) or (F, Q): what is known of log k there, but for its level
     rest_on_nodes: Array  # (Q, 3) or (F, Q, 3)
     allowances: tuple[Allowance, ...] = ()
+    memory: Memory | None = None  # of a beam that relaxes, where earlier frames are not among these
 
     @property
     def resting(self) -> BoolArray:
@@ -243,8 +245,9 @@ def fit_data(
     spline: Spline,
     allowances: frozenset[str] = frozenset(),
     known: KnownShape | None = None,
+    resolution: Resolution | None = None,
 ) -> FitData:
-    """Prepare a recording; `allowances` by name, `known`: the stated shape of k.
+    """Prepare a recording; `allowances` by name, `known`: the stated shape of k, `resolution`: of the beam, if unusual.
 
     Raises:
         LearningError: weight acts and the mass is unknown.
@@ -281,7 +284,9 @@ def fit_data(
     written = line if weighs and o.stated.mass_along not in POWERS else Uniform(0.0)
     known = KnownShape(None, 0.0) if known is None else known
     carrier = Beam(o.length, known.profile, mass_per_length=written, masses=o.stated.masses)
-    problem = make_problem(carrier, _loads(np.zeros_like(force), push_s, gravity) + other, resolution_of(o))
+    problem = make_problem(
+        carrier, _loads(np.zeros_like(force), push_s, gravity) + other, resolution or resolution_of(o)
+    )
     ends = held_ends(o, frames, problem)
     nodes = problem.grid.nodes
     film = Film(o, frames, measured, problem, gravity, line, across)

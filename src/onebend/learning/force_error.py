@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import solve_triangular, toeplitz
 from scipy.linalg.lapack import dtpqrt
 
-from onebend.recording.force_noise import LOAD, displacement, load_changes, own_time
+from onebend.recording.force_noise import LOAD, TimeSpans, covariance, displacement, load_changes, own_time
 from onebend.recording.signals import low_pass, low_pass_power
 from onebend.records import Array, CleanForce, ForceNoise, IntArray, Observations
 
@@ -96,14 +96,15 @@ class ForceError:
         """N^2 / Hz, one-sided density of the log's white noise."""
         return 2.0 * self.noise.white**2 * self.noise.spacing
 
-    def covariance(self, coloured: float, memory: float, walk: float, load: float) -> Array:
+    def covariance(self, coloured: float, memory: float, walk: float, load: float, white: float = 1.0) -> Array:
         """(K, K) N^2 of one axis; the arguments are factors on the expected sizes and on the correlation time."""
-        root = self.root(coloured, memory, walk, load)
+        root = self.root(coloured, memory, walk, load, white)
         return np.asarray(root @ root.T)
 
-    def root(self, coloured: float, memory: float, walk: float, load: float) -> Array:
+    def root(self, coloured: float, memory: float, walk: float, load: float, white: float = 1.0) -> Array:
         """(K, K) N, lower triangular factor of `covariance`, by QR of the factors of its parts."""
-        short = self.filtered.covariance(coloured * self.noise.coloured, memory * self.noise.tau, self.white)
+        size, tau = coloured * self.noise.coloured, memory * self.noise.tau
+        short = self.filtered.covariance(size, tau, white**2 * self.white)
         upper = np.linalg.cholesky(toeplitz(short) + _GRAIN * short[0] * np.eye(len(short))).T
         level = np.full((1, len(short)), np.hypot(self.noise.level, load * self.noise.load))
         upper = _below(upper, walk * self.noise.walk * self._walk_factor)
@@ -121,6 +122,32 @@ class ForceError:
         """(K, K), upper triangular, of `stages`."""
         values, vectors = np.linalg.eigh(self.stages)
         return np.asarray(np.linalg.qr(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T, mode="r"))
+
+
+@dataclass(frozen=True)
+class SpannedError(ForceError):
+    """The same of key frames, each the mean of frames in a span of time, instead of knots."""
+
+    spans: TimeSpans
+
+    def root(self, coloured: float, memory: float, walk: float, load: float, white: float = 1.0) -> Array:
+        """(K, K) N, lower triangular factor of the covariance."""
+        noise = sized(self.noise, coloured, memory, walk, load, white)
+        return np.asarray(np.linalg.cholesky(covariance(noise, self.spans)), dtype=float)
+
+
+def sized(n: ForceNoise, coloured: float, memory: float, walk: float, load: float, white: float) -> ForceNoise:
+    """The error at these factors on what is expected."""
+    parts = {"white": white * n.white, "coloured": coloured * n.coloured, "tau": memory * n.tau}
+    return replace(n, **parts, walk=walk * n.walk, load=load * n.load)
+
+
+def spanned_error(noise: ForceNoise, spans: TimeSpans) -> SpannedError:
+    """Of K key frames, before any of them counts."""
+    nothing, square, mean = np.zeros((0, len(spans.begin))), np.zeros((0, 0)), np.zeros((len(spans.begin), 2))
+    return SpannedError(
+        spans.begin, nothing, nothing, np.zeros((0, 2)), noise, filtered(np.zeros(0), np.inf), square, mean, spans
+    )
 
 
 def _below(upper: Array, more: Array) -> Array:

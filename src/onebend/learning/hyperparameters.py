@@ -8,7 +8,7 @@ cubature of degree three. The sizes in the prior of log k are drawn from their p
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
 
@@ -53,9 +53,9 @@ from onebend.progress import each
 from onebend.recording.signals import correlation_time
 from onebend.records import Array, IntArray
 
-CHOSEN = ("coloured", "memory", "walk", "load")  # the sizes of the force error
-# One sd of their logs: factors of two in size and two and a half in correlation time of the coloured noise, and of
-# three in the walk and in the load's error.
+CHOSEN = ("coloured", "memory", "walk", "load", "white")  # the sizes of the force error; the last of key frames alone
+# One sd of the logs of all but the last: factors of two in size and two and a half in correlation time of the coloured
+# noise, and of three in the walk and in the load's error.
 SPREAD = np.array([0.7, 0.9, 1.1, 1.2])
 _TELL_SIZES = 10  # recordings, evenly chosen, that the sizes of the force error are estimated from
 _NOTHING: IntArray = np.zeros(0, dtype=np.int64)
@@ -74,6 +74,7 @@ class Evidence:
 
     problem: FitProblem
     data: JointInformation  # of tags and rests
+    spread: Array = field(default_factory=SPREAD.copy)  # (d,) see `SPREAD`; that of the first d sizes
 
     def posterior(self, hyperparameters: Hyperparameters) -> Solved:
         """Of all parameters, at these hyperparameters."""
@@ -86,9 +87,9 @@ class Evidence:
         return replace(marginal(posterior.left, mean, before.roots[0], p), weight=weight)
 
     def hyperparameters_at(self, start: Hyperparameters, z: Array) -> Hyperparameters:
-        """Sizes of the force error z (4,) sd from what was expected, all else as at `start`."""
-        logs = np.log(_chosen(self.problem.expected)) + SPREAD * np.clip(z, -_FARTHEST, _FARTHEST)
-        return replace(start, **dict(zip(CHOSEN, np.exp(logs).tolist(), strict=True)))
+        """Sizes of the force error z (d,) sd from what was expected, all else as at `start`."""
+        logs = np.log(self._sizes(self.problem.expected)) + self.spread * np.clip(z, -_FARTHEST, _FARTHEST)
+        return replace(start, **dict(zip(CHOSEN, np.exp(logs).tolist(), strict=False)))
 
     def cost(self, start: Hyperparameters) -> Callable[[Array], float]:
         """Minus log posterior of z. All but the force's error and the shared parameters is integrated out once; of many
@@ -119,28 +120,35 @@ class Evidence:
         return np.arange(start, start + count)
 
     def place(self, hyperparameters: Hyperparameters) -> Array:
-        """(4,) sd of the force error's sizes from what was expected."""
-        return np.asarray(np.log(_chosen(hyperparameters) / _chosen(self.problem.expected)) / SPREAD)
+        """(d,) sd of the force error's sizes from what was expected."""
+        return np.asarray(np.log(self._sizes(hyperparameters) / self._sizes(self.problem.expected)) / self.spread)
+
+    def _sizes(self, hyperparameters: Hyperparameters) -> Array:
+        return np.array(hyperparameters.of_force[: len(self.spread)])
 
 
 def _error_root(error: ForceError | None, sizes: Hyperparameters) -> BlockRoot:
     if error is None:
         return BlockRoot(np.zeros(0))
-    of_axis = error.root(*(getattr(sizes, name) for name in CHOSEN))
+    of_axis = error.root(*sizes.of_force)
     count = 2 * len(of_axis)
     return BlockRoot(np.ones(count), tuple((np.arange(axis, count, 2), of_axis) for axis in range(2)))
 
 
-def _chosen(hyperparameters: Hyperparameters) -> Array:
-    return np.array([getattr(hyperparameters, name) for name in CHOSEN])
-
-
 def choose_hyperparameters(evidence: Evidence, start: Hyperparameters) -> Hyperparameters:
     """Sizes of the force error of greatest evidence, and the mean prior of log k under them."""
-    bounds = [(-_FARTHEST, _FARTHEST)] * len(CHOSEN)
-    options = {"maxfun": 60, "eps": 1e-3, "ftol": 1e-4, "gtol": 0.15}
-    result = minimize(evidence.cost(start), evidence.place(start), method="L-BFGS-B", bounds=bounds, options=options)
-    return with_stiffness_prior(evidence, evidence.hyperparameters_at(start, result.x))
+    return with_stiffness_prior(evidence, likeliest(evidence, start))
+
+
+def likeliest(
+    evidence: Evidence, start: Hyperparameters, evaluations: int = 60, stride: float = np.inf
+) -> Hyperparameters:
+    """Sizes of the force error of greatest evidence, at most `stride` sd from the start."""
+    begin = evidence.place(start)
+    bounds = [(max(z - stride, -_FARTHEST), min(z + stride, _FARTHEST)) for z in begin.tolist()]
+    options = {"maxfun": evaluations, "eps": 1e-3, "ftol": 1e-4, "gtol": 0.15}
+    result = minimize(evidence.cost(start), begin, method="L-BFGS-B", bounds=bounds, options=options)
+    return evidence.hyperparameters_at(start, result.x)
 
 
 def with_stiffness_prior(evidence: Evidence, hyperparameters: Hyperparameters) -> Hyperparameters:
@@ -156,11 +164,12 @@ def with_stiffness_prior(evidence: Evidence, hyperparameters: Hyperparameters) -
 
 
 def averaged_posterior(
-    evidence: Evidence, hyperparameters: Hyperparameters, sizes: Sequence[Sizes]
+    evidence: Evidence, hyperparameters: Hyperparameters, sizes: Sequence[Sizes], draws: Draws = _AT_THE_END
 ) -> tuple[StiffnessMixture, JointCovariance]:
     """log k and the covariance of all parameters, averaged over the hyperparameters; `sizes` are equally probable."""
     nodes, weights = _cubature(evidence, hyperparameters)
     layout, best = evidence.problem.layout, evidence.posterior(hyperparameters).mean
+    drawn = layout.known is None and evidence.problem.stiffness is None
     known = [layout.known_to(number) for number in range(len(evidence.problem.recordings))]
     pairs, forms, mean = [in_own_pages(np.zeros((len(i), len(i)))) for i in known], [], np.zeros(len(best))
 
@@ -170,15 +179,15 @@ def averaged_posterior(
 
     for (share, node), one_size in product(zip(weights.tolist(), nodes, strict=True), sizes):
         posterior, weight = evidence.posterior(replace(node, sizes=one_size)), share / len(sizes)
-        if layout.known is None:
+        if drawn:
             forms.append(evidence.stiffness_form(posterior, weight))
         mean += weight * posterior.mean
         each(partial(add, posterior=posterior, weight=weight), pairs, range(len(known)), known)
-    if layout.known is not None:
+    if not drawn:
         pairs = [0.5 * (pair + pair.T) for pair in pairs]
         stiffness = normal_mixture(mean[: layout.spline.count], pairs[0])
     else:
-        stiffness = stiffness_mixture(layout.spline, forms, evidence.problem.level, _AT_THE_END, hyperparameters.chains)
+        stiffness = stiffness_mixture(layout.spline, forms, evidence.problem.level, draws, hyperparameters.chains)
         for pair in pairs:  # in its place: all of them take much memory
             pair[:] = _with_stiffness(pair, stiffness.covariance)
     return stiffness, JointCovariance(layout.shared, tuple(pairs), layout.parts)

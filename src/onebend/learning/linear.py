@@ -32,6 +32,7 @@ from onebend.learning.normal import (
     beside,
     in_own_pages,
     in_z,
+    solved_lower,
     total,
     unit_root,
 )
@@ -69,7 +70,15 @@ class Hyperparameters:
     noise: tuple[RecordingNoise, ...]
     sizes: Sizes = field(default_factory=dict)  # of allowances whose size the evidence chooses; 1 where not named
     sites: Sites = field(default_factory=dict)  # of parameters whose priors are not normal; their moments where absent
+    white: float = (
+        1.0  # of the force error's white part, over what was expected; the data choose it of key frames alone
+    )
     chains: Array | None = None  # where the sampler's chains stand, see `normal.mean_part_variances`
+
+    @property
+    def of_force(self) -> tuple[float, float, float, float, float]:
+        """Factors on the expected force error: see `ForceError.root`."""
+        return self.coloured, self.memory, self.walk, self.load, self.white
 
 
 @dataclass(frozen=True)
@@ -81,6 +90,7 @@ class FitProblem:
     level: float  # prior mean of log k
     expected: Hyperparameters
     frequencies: tuple[FrequencyData, ...] = ()  # of those recordings that have measured ones
+    stiffness: tuple[Array, Array] | None = None  # (p,) mean and (p, p) lower root of log k's prior; None: it has sizes
 
     def predicted_frequencies(self, x: Array, number: int | None = None) -> tuple[PredictedFrequencies, ...]:
         """Those of each such recording, or of the one with this number, at parameters x."""
@@ -129,11 +139,12 @@ def prior(problem: FitProblem, hyperparameters: Hyperparameters, log_k: Array | 
         for block in inside:
             where, index = block.where, np.arange(block.where.start, block.where.stop) - part.start
             if block.name == "stiffness":
-                blocks.append((index, layout.stiffness_root(h.part_variances)))
-                mean[where] = problem.level if log_k is None else log_k
+                level, root = problem.stiffness or (problem.level, layout.stiffness_root(h.part_variances))
+                blocks.append((index, root))
+                mean[where] = level if log_k is None else log_k
             elif block.name == "force":  # x and y in turn, alike
                 error = problem.recordings[block.recording].error
-                mean[where], of_axis = error.mean.ravel(), error.root(h.coloured, h.memory, h.walk, h.load)
+                mean[where], of_axis = error.mean.ravel(), error.root(*h.of_force)
                 blocks += [(index[axis::2], of_axis) for axis in range(2)]
             elif is_shaped(block):
                 site = h.sites.get((block.name, block.recording))
@@ -208,6 +219,12 @@ class Eliminated:
         """(n, ...) z at others x, for right sides `white` (n, ...)."""
         return _upper(self.factor, white - self.across @ x)
 
+    def joint(self, others: Array) -> Array:
+        """(k + n, k + n) covariance of the others, (k, k) `others`, and of y."""
+        onto = -self.root.times(_upper(self.factor, self.across))
+        own, across = solved_lower(self.factor, self.root.dense().T), onto @ others
+        return np.block([[others, across.T], [across, own.T @ own + across @ onto.T]])
+
 
 def eliminated(form: InformationForm, mean: Array, root: BlockRoot, kept: int, damping: float = 0.0) -> Eliminated:
     """All parameters of a form but the first `kept` integrated out; `damping` is added to the precision of z."""
@@ -216,8 +233,8 @@ def eliminated(form: InformationForm, mean: Array, root: BlockRoot, kept: int, d
     inside[np.diag_indices(len(inside))] += 1.0 + damping
     factor = in_own_pages(np.asarray(np.linalg.cholesky(inside), dtype=float))
     cross = form.matrix[kept:, :kept]
-    across = _lower(factor, root.transposed_times(cross))
-    white = _lower(factor, root.transposed_times(vector - information @ mean))
+    across = solved_lower(factor, root.transposed_times(cross))
+    white = solved_lower(factor, root.transposed_times(vector - information @ mean))
     left = InformationForm(
         matrix=form.matrix[:kept, :kept] - across.T @ across,
         vector=form.vector[:kept] - cross.T @ mean - across.T @ white,
@@ -269,14 +286,24 @@ class Solved:
         misfit = left.constant - 2.0 * left.vector @ mean + mean @ left.matrix @ mean - self.white @ self.white
         return float(-0.5 * misfit - np.sum(np.log(np.diag(self.factor))))
 
+    def _whitened(self, v: Array) -> list[Array]:
+        """`G^-1 v`, part by part, the shared parameters last; `G G' = A`, the precision of z."""
+        parts, root = self.before.parts, self.before.roots[0]
+        white = [solved_lower(one.factor, v[part]) for one, part in zip(self.own, parts[1:], strict=True)]
+        known = sum((one.across.T @ w for one, w in zip(self.own, white, strict=True)), np.zeros_like(v[parts[0]]))
+        return [*white, solved_lower(self.factor, v[parts[0]] - root.transposed_times(known))]
+
     def solve(self, v: Array) -> Array:
         """(P, ...) `A^-1 v`, A being the precision of z."""
-        parts, root = self.before.parts, self.before.roots[0]
-        white = [_lower(one.factor, v[part]) for one, part in zip(self.own, parts[1:], strict=True)]
-        known = sum((one.across.T @ w for one, w in zip(self.own, white, strict=True)), np.zeros_like(v[parts[0]]))
-        shared = _upper(self.factor, _lower(self.factor, v[parts[0]] - root.transposed_times(known)))
-        x = root.times(shared)
+        *white, last = self._whitened(v)
+        shared = _upper(self.factor, last)
+        x = self.before.roots[0].times(shared)
         return np.concatenate([shared, *(one.given(x, w) for one, w in zip(self.own, white, strict=True))])
+
+    def spread(self, rows: Array) -> Array:
+        """(R, R) covariance of R linear functions of the parameters, rows (R, P)."""
+        half = np.concatenate(self._whitened(self.before.transposed_times(rows.T)))
+        return half.T @ half
 
     def times_covariance(self, v: Array) -> Array:
         """(P, ...) `C v`, C being the covariance of the parameters."""
@@ -285,16 +312,12 @@ class Solved:
     @cached_property
     def _of_shared(self) -> Array:
         """(n, n) covariance of the shared parameters."""
-        half = _lower(self.factor, self.before.roots[0].dense().T)
+        half = solved_lower(self.factor, self.before.roots[0].dense().T)
         return half.T @ half
 
     def pair(self, number: int) -> Array:
         """(n, n) covariance of the shared parameters and one recording's own."""
-        one, shared = self.own[number], self._of_shared
-        onto = -one.root.times(_upper(one.factor, one.across))
-        own = _lower(one.factor, one.root.dense().T)
-        across = onto @ shared
-        return np.block([[shared, across.T], [across, own.T @ own + across @ onto.T]])
+        return self.own[number].joint(self._of_shared)
 
     @property
     def covariance(self) -> JointCovariance:
@@ -336,7 +359,7 @@ def solved(data: JointInformation, before: Prior, damping: float = 0.0) -> Solve
     inside = root.around(left.matrix)
     inside[np.diag_indices(count)] += 1.0 + damping
     factor = np.asarray(np.linalg.cholesky(inside), dtype=float)
-    white = _lower(factor, root.transposed_times(left.vector - left.matrix @ mean))
+    white = solved_lower(factor, root.transposed_times(left.vector - left.matrix @ mean))
     return Solved(before, own, left, factor, white)
 
 
@@ -378,12 +401,8 @@ def coupled(data: JointInformation, before: Prior, own: Sequence[IntArray]) -> t
     return JointInformation(forms, every), Prior(np.concatenate([before.mean[:count], *means]), every, all_roots)
 
 
-def _lower(factor: Array, right: Array) -> Array:
-    return np.asarray(solve_triangular(factor, right, lower=True, check_finite=False))
-
-
 def _upper(factor: Array, right: Array) -> Array:
-    return np.asarray(solve_triangular(factor, right, lower=True, trans="T", check_finite=False))
+    return solved_lower(factor, right, across=True)
 
 
 _ROBUST = 6.0  # degrees of freedom of Student's t: weights of tags that fit badly

@@ -401,17 +401,25 @@ class Layout:
         return np.asarray(np.linalg.qr(np.sqrt(variances)[:, None] * self.stiffness_parts.T, mode="r")).T
 
     def get(self, x: Array, name: str, recording: int = -1) -> Array:
-        """Values of a block; zeros (of the right length) where it is frozen."""
-        block = self.index[name, recording]
+        """Values of a block of a recording, or of all; zeros (of the right length) where it is frozen."""
+        block = self.index.get((name, recording)) or self.index[name, -1]
         return x[block.where] if block.start >= 0 else np.zeros(len(block.labels))
 
-    def columns(self, name: str, recording: int = -1) -> slice | None:
+    def columns(self, name: str, recording: int) -> slice | None:
         """Columns of a block among the parameters of its recording (`known_to`); None where frozen."""
-        block = self.index[name, recording]
-        if block.start < 0:
-            return None
-        shift = 0 if recording < 0 else self.parts[1 + recording].start - self.shared
-        return slice(block.where.start - shift, block.where.stop - shift)
+        return self.free_columns(recording).get(name)
+
+    def free_columns(self, recording: int) -> dict[str, slice]:
+        """Columns of all blocks that one recording depends on and that are not frozen, by the blocks' names."""
+        return self._free_columns[recording]
+
+    @cached_property
+    def _free_columns(self) -> tuple[dict[str, slice], ...]:
+        """Of each recording."""
+        shared, *own = ({b.name: b.where for b in blocks} for blocks in self.free_blocks)
+        away = [part.start - self.shared for part in self.parts[1:]]
+        pairs = zip(own, away, strict=True)
+        return tuple(shared | {n: slice(at.start - d, at.stop - d) for n, at in one.items()} for one, d in pairs)
 
     @property
     def shared(self) -> int:
@@ -599,11 +607,11 @@ def make_layout(
         own = [error.allowance([one], priors, tags) for error in STATED_ERRORS if not error.shared]
         own += [a for a in (allowances[r] if allowances else ()) if not a.shared]
         own += [
-            _inside("rest change", "rad", rest_change_sd(recordings, r), _REST),
-            _inside("zero", "m", one.length, _zeros(one)),
-            _inside("end", "m", END_SD[0] * one.length, _ends(one, "x", "y")),
-            _inside("end turn", "rad", END_SD[1], _ends(one, "angle")),
-            _inside("force", "N", 1.0, tuple(f"force error {a}{i}" for i in range(knots[r]) for a in "xy")),
+            inside("rest change", "rad", rest_change_sd(recordings, r), _REST),
+            inside("zero", "m", one.length, _zeros(one)),
+            inside("end", "m", END_SD[0] * one.length, _ends(one, "x", "y")),
+            inside("end turn", "rad", END_SD[1], _ends(one, "angle")),
+            inside("force", "N", 1.0, tuple(f"force error {a}{i}" for i in range(knots[r]) for a in "xy")),
         ]
         named = [tuple(f"{one.source.name}: {label}" for label in a.labels) for a in own]
         wanted += [(r, replace(a, labels=labels)) for a, labels in zip(own, named, strict=True)]
@@ -613,7 +621,7 @@ def make_layout(
 def layout_of(spline: Spline, wanted: Sequence[tuple[int, Allowance]], known: KnownShape | None = None) -> Layout:
     """The layout of log k and of these allowances, each with the number of its recording; without a prior sd they are
     frozen."""
-    first = _inside("stiffness", "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count)))
+    first = inside("stiffness", "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count)))
     blocks, start = [], 0
     for recording, one in ((-1, first), *wanted):
         free = len(one.labels) > 0 and float(one.prior_sd[0]) > 0.0
@@ -622,7 +630,12 @@ def layout_of(spline: Spline, wanted: Sequence[tuple[int, Allowance]], known: Kn
     return Layout(spline, tuple(blocks), start, {(b.name, b.recording): b for b in blocks}, known)
 
 
-def _inside(name: str, unit: str, sd: float, labels: tuple[str, ...]) -> Allowance:
+def without_recording() -> list[Allowance]:
+    """Groups that recordings have and frames as they come have not."""
+    return [inside("rest change", "rad", 0.0, _REST), inside("zero", "m", 0.0, ()), inside("force", "N", 0.0, ())]
+
+
+def inside(name: str, unit: str, sd: float, labels: tuple[str, ...]) -> Allowance:
     """A group of the model's own."""
     return Allowance(name, "bench", unit, labels, np.full(len(labels), sd))
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 
-from onebend.beam.continuation import follow, refine
+from onebend.beam.continuation import ContinuationSettings, follow, refine
 from onebend.beam.grid import apply, paired, solve_each
 from onebend.beam.problem import Problem
 from onebend.beam.sensitivity import (
@@ -19,7 +20,6 @@ from onebend.beam.sensitivity import (
     of_force,
     of_moment,
     of_rest_curvature,
-    of_section_thickness,
     of_stiffness,
     respond,
 )
@@ -29,6 +29,7 @@ from onebend.learning.allowances import (
     SLIDE_SD,
     Allowance,
     Entry,
+    Memory,
     lags,
     memory,
     reached_part,
@@ -46,7 +47,7 @@ from onebend.learning.parameters import Layout, log_axes
 from onebend.learning.static_poses import free_ends, moved, put_ends, solve, with_ends_held
 from onebend.records import Array, BoolArray, IntArray, Observations
 
-# Derivatives of the tags' poses: `balance_changes` gives each group of parameters that bends the beam, in the order of
+# Derivatives of the tags' poses: `response_columns` gives each group of parameters that bends the beam, in the order of
 # the columns; `TagRide` maps the motion of the beam to the tags; `put_blocks` and `put_tags` write the columns of a
 # layout.
 
@@ -69,11 +70,6 @@ class BentBeam:
     thickens: float = 1.0  # half of how the log of stretch and shear goes with its parameter
 
 
-def balance_changes(beam: BentBeam) -> dict[str, Perturbation]:
-    """How each group of parameters enters the balance of moments; the groups are in the order of the columns."""
-    return load_changes(beam) | material_changes(beam)
-
-
 def load_changes(beam: BentBeam) -> dict[str, Perturbation]:
     """Groups of the loads, the clamp and the beam at rest.
 
@@ -94,43 +90,31 @@ def load_changes(beam: BentBeam) -> dict[str, Perturbation]:
     return changes
 
 
-def material_changes(beam: BentBeam) -> dict[str, Perturbation]:
-    """Groups of the beam itself, which enter by `k (q - q0)` and by 1/EA and 1/kGA.
+def material_changes(beam: BentBeam) -> tuple[Perturbation, dict[str, int]]:
+    """Groups of the beam itself, side by side, and their sizes. They enter by `k (q - q0)` and by 1/EA and 1/kGA.
 
-    "stiffness" (p) coefficients of log k; further functions of log k, by name; "length" (1) its log; "section" (1) its
+    "stiffness" (p) coefficients of log k; further functions of log k, by name; "length" (1) its log, at fixed k [N m]
+    and loads: it acts as a smaller k, as all levers grow, and 1/EA and 1/kGA go with 1 / (k L); "section" (1) its
     thickness.
     """
-    problem = beam.solved.problem
-    changes = {
-        "stiffness": replace(of_stiffness(beam.solved, problem.k[..., None] * beam.on_nodes), force=beam.weight_by_k)
-    }
-    for name, functions in beam.log_k.items():
-        changes[name] = of_stiffness(beam.solved, problem.k[..., None] * functions)
+    problem, by_name = beam.solved.problem, {"stiffness": beam.on_nodes, **beam.log_k}
+    logs = np.concatenate(list(by_name.values()), axis=-1)
+    counts = {name: one.shape[-1] for name, one in by_name.items()}
+    elastic, compliance, more = [problem.k[..., None] * logs], None, []
+    nodes = np.ones_like(elastic[0][..., :1])
     if beam.lengthens:
-        changes["length"] = _of_length(beam.solved)
-    if problem.section is not None:
-        changes["section"] = of_section_thickness(problem, beam.thickens)
-    return changes
-
-
-def joined_functions(changes: Mapping[str, Perturbation], nodes: int) -> tuple[Array, Array]:
-    """(Q, P) each: functions of k [N m] and of the logs of 1/EA and 1/kGA, all groups of `material_changes`."""
-    elastic, compliant = (
-        np.concatenate([np.zeros((nodes, len(c.clamp))) if f is None else f[1] for c, f in pairs], axis=1)
-        for pairs in ([(c, c.elastic) for c in changes.values()], [(c, c.compliance) for c in changes.values()])
-    )
-    return elastic, compliant
-
-
-def _of_length(solved: Equilibrium) -> Perturbation:
-    """The log of the length at fixed k [N m] and loads, without point moments: it acts as a smaller k, as all levers
-    grow; 1/EA and 1/kGA go with 1 / (k L)."""
-    problem = solved.problem
-    elastic = solved.q - problem.q0, -problem.k[..., None]
-    compliance = None
+        counts["length"] = 1
+        elastic, more = [*elastic, -problem.k[..., None] * nodes], [-nodes]
     if problem.section is not None and problem.compliance is not None:
-        compliance = problem.compliance, np.full((problem.to_nodes.shape[-1], 1), -1.0)
-    return Perturbation(None, None, elastic, np.zeros(1), compliance)
+        counts["section"] = 1
+        with_k = problem.section.log_by_stiffness(problem.k, problem.weights, elastic[0])
+        elastic, more = [*elastic, 0.0 * nodes], [*more, 2.0 * beam.thickens * nodes]
+        compliance = problem.compliance, np.concatenate([with_k, *more], axis=-1)
+    functions, force = np.concatenate(elastic, axis=-1), beam.weight_by_k
+    if force is not None:
+        force = np.pad(force, ((0, 0), (0, 0), (0, 0), (0, functions.shape[-1] - force.shape[-1])))
+    bending, still = beam.solved.q - problem.q0, np.zeros(functions.shape[-1])
+    return Perturbation(force, None, (bending, functions), still, compliance), counts
 
 
 @dataclass(frozen=True)
@@ -145,13 +129,20 @@ class ResponseColumns:
         return {name: response[..., columns] for name, columns in self.slices.items()}
 
 
-def response_columns(changes: Mapping[str, Perturbation]) -> ResponseColumns:
-    """The columns of these groups, in their order."""
-    slices, start = {}, 0
-    for name, change in changes.items():
-        slices[name] = slice(start, start + len(change.clamp))
-        start += len(change.clamp)
-    return ResponseColumns(Perturbations(tuple(changes.values())), slices)
+def response_columns(changes: Mapping[str, Perturbation], beam: BentBeam | None = None) -> ResponseColumns:
+    """The columns of these groups, in their order, and behind them those of the `beam` itself (`material_changes`)."""
+    counts = {name: len(change.clamp) for name, change in changes.items()}
+    joined = Perturbations(tuple(changes.values()))
+    if beam is not None:
+        material, own = material_changes(beam)
+        counts, joined = counts | own, joined + material
+    return ResponseColumns(joined, side_by_side(counts))
+
+
+def side_by_side(counts: Mapping[str, int]) -> dict[str, slice]:
+    """Slices of groups of so many columns, one after the other."""
+    ends = list(accumulate(counts.values(), initial=0))
+    return {name: slice(a, b) for name, a, b in zip(counts, ends[:-1], ends[1:], strict=True)}
 
 
 def allowed(allowances: Iterable[Allowance], enters: Entry, value: Callable[[str], Array]) -> Array | float:
@@ -159,22 +150,8 @@ def allowed(allowances: Iterable[Allowance], enters: Entry, value: Callable[[str
     return sum((a.basis @ value(a.name) for a in allowances if a.enters == enters), start=0.0)
 
 
-def allowed_blocks(allowances: Iterable[Allowance], blocks: Mapping[str, Array]) -> dict[str, Array]:
-    """(F, m, 3, n) by name, from those with the "push" (of a beam without memory), its "place" and the "clamp"."""
-    out = {}
-    for a in allowances:
-        if a.enters == "force":
-            out[a.name] = blocks["push"] @ a.basis[:, None]
-        elif a.enters in ("place", "clamp"):
-            out[a.name] = blocks[a.enters] * a.basis[:, None, None, :]
-        elif a.enters == "poses":
-            out[a.name] = a.basis
-    return out
-
-
-def place_responses(solved: Equilibrium, changes: Mapping[str, Perturbation], s: Array) -> dict[str, Array]:
+def place_responses(solved: Equilibrium, columns: ResponseColumns, s: Array) -> dict[str, Array]:
     """(F, S, 3, n) m, m, rad per unit of each group: of the beam's position and angle at places `s` (S,)."""
-    columns = response_columns(changes)
     return columns.split(respond(solved, columns.changes).poses(s))
 
 
@@ -195,16 +172,6 @@ def push_forces(push: Array, log_axes: Array, rate: Array) -> dict[str, Array]:
     """(F, 2, 1) N per unit: the push with the "direction" of the log's axes [rad] and its "clock" [s]."""
     turned = paired(-push[:, 1], push[:, 0])
     return {"direction": turned[..., None], "clock": (rate @ log_axes.T)[..., None]}
-
-
-def push_blocks(by_push: Array, push: Array, log_axes: Array, rate: Array) -> dict[str, Array]:
-    """(F, m, 3, 1) with the "direction" of the force log's axes [rad] and its "clock" [s].
-
-    `by_push` (F, m, 3, 2) per N, `push` (F, 2) N, `log_axes` (2, 2) by which the logged force is turned, `rate` (F, 2)
-    N/s of the logged force.
-    """
-    forces = push_forces(push, log_axes, rate)
-    return {name: np.einsum("fmad,fdn->fman", by_push, force) for name, force in forces.items()}
 
 
 def pushed_by(beyond: Array, force: Array) -> Perturbation:
@@ -282,13 +249,6 @@ class TagRide:
         return TagMotion(paired(nothing, self.slope), nothing, paired(nothing, one), xy, origin)
 
 
-def free_columns(layout: Layout, recording: int = -1) -> dict[str, slice]:
-    """Columns of all blocks that one recording depends on and that are not frozen, by the blocks' names."""
-    blocks = [b for b in layout.blocks if b.recording in (-1, recording) and b.start >= 0]
-    columns = {b.name: layout.columns(b.name, b.recording) for b in blocks}
-    return {name: where for name, where in columns.items() if where is not None}
-
-
 def put_blocks(out: Array, columns: Mapping[str, slice], blocks: Mapping[str, Array]) -> None:
     """Write derivatives (F, m, 3, n) to the columns (F, m, 3, C) of the same names; frozen ones are left out."""
     for name, block in blocks.items():
@@ -322,10 +282,8 @@ def put_tags(out: Array, columns: Mapping[str, slice], motion: TagMotion, tags: 
 def tag_blocks(motion: TagMotion) -> dict[str, Array]:
     """(F, m, 3, n) of each block that `put_tags` writes, for those who have no layout."""
     m = motion.bend.shape[1]
-    sizes = {"along": m, "across": m, "turn": m, "origin": 2, "scale": 1}
-    ends = np.cumsum([0, *sizes.values()]).tolist()
-    columns = {name: slice(a, b) for name, a, b in zip(sizes, ends[:-1], ends[1:], strict=True)}
-    out = np.zeros((*motion.bend.shape, 3, ends[-1]))
+    columns = side_by_side({"along": m, "across": m, "turn": m, "origin": 2, "scale": 1})
+    out = np.zeros((*motion.bend.shape, 3, 3 * m + 3))
     put_tags(out, columns, motion)
     return {name: out[..., where] for name, where in columns.items()}
 
@@ -348,8 +306,7 @@ class State:
 
     def value(self, name: str) -> Array:
         """(n,) values of a block; zeros where it is frozen."""
-        shared = (name, -1) in self.layout.index
-        return self.layout.get(self.x, name, -1 if shared else self.data.number)
+        return self.layout.get(self.x, name, self.data.number)
 
     def allowed(self, enters: Entry) -> Array | float:
         """The sum of the allowances that enter here; 0 where there are none. Shapes: see `Entry`."""
@@ -403,21 +360,17 @@ class State:
             return None
         return memory(*self.relaxation)
 
-    def places(self, solved: Equilibrium) -> tuple[Array, Array]:
-        """(m,) s of the tags on the beam, and (m,) m beyond its tip; (F, m) each of readings under rulers."""
-        data = self.data
+    def ride(self, solved: Equilibrium) -> tuple[Array, TagRide]:
+        """(m,) s of the tags on these equilibria, (F, m) of readings under rulers, and the tags there."""
+        data, scale = self.data, 1.0 + float(self.value("scale")[0])
         if data.rulers is not None:
-            return ruler_places(solved, np.nan_to_num(data.rulers) + self.value("along") - self.value("origin")[0])
+            there = np.nan_to_num(data.rulers) + self.value("along") - self.value("origin")[0]
+            s, over = ruler_places(solved, there)
+            return s, TagRide(solved.angle(s), over, np.zeros(over.shape[1]), scale, ruler=True)
         length = data.observations.length
-        s = data.observations.marker_s + data.of_tags(self.value("along")) / length
-        return np.clip(s, 0.0, 1.0), length * (s - np.clip(s, 0.0, 1.0))
-
-    def ride(self, solved: Equilibrium) -> TagRide:
-        """The tags on these equilibria."""
-        s, over = self.places(solved)
-        scale, ruler = 1.0 + float(self.value("scale")[0]), self.data.rulers is not None
-        across = np.zeros(over.shape[1]) if ruler else self.data.of_tags(self.value("across"))
-        return TagRide(solved.angle(s), over, across, scale, ruler)
+        wanted = data.observations.marker_s + data.of_tags(self.value("along")) / length
+        s = np.clip(wanted, 0.0, 1.0)
+        return s, TagRide(solved.angle(s), length * (wanted - s), data.of_tags(self.value("across")), scale)
 
 
 def _relaxed(problem: Problem, remembering: Array, start: Array | None) -> Equilibrium:
@@ -572,6 +525,8 @@ class Prediction(State):
     """The tags' poses at the parameters of a state."""
 
     solved: Equilibrium
+    s: Array  # (m,) or (F, m) places of the beam under the tags
+    riding: TagRide  # the tags there
     pose: Array  # (F, m, 3)
     force: Array  # (F, 2) N, the corrected force, `own` included
     own: Array  # (F, 2) N, each frame's own force: minus the log's error that is faster than the knots
@@ -610,7 +565,7 @@ class Prediction(State):
     def whitened_by_force(self) -> Slopes:
         """`whitened_slopes` with each frame's force alone: much faster."""
         by_force = Perturbations((pushed_by(self.push_beyond, np.eye(2)[None]),))
-        a = whitened(self.data.whiten, self.ride(self.solved).carry(_responses(self, by_force)[0]))
+        a = whitened(self.data.whiten, self.riding.carry(_responses(self, by_force)[0]))
         return Slopes(a[..., :0], a, np.eye(2), np.zeros((len(a), 0)))
 
     def clear_slopes(self) -> None:
@@ -618,10 +573,17 @@ class Prediction(State):
         self.__dict__.pop("whitened_slopes", None)
 
 
-def predict(data: FitData, layout: Layout, x: Array, start: Array | None, own: Array | None = None) -> Prediction:
+def predict(
+    data: FitData,
+    layout: Layout,
+    x: Array,
+    start: Array | None,
+    own: Array | None = None,
+    settings: ContinuationSettings = ContinuationSettings(),
+) -> Prediction:
     """Equilibria and tags for parameters x and each frame's `own` force (F, 2) [N], zero if None.
 
-    `start`: shapes (F, Q) for a warm start.
+    `start`: shapes (F, Q) for a warm start; `settings` of the way from there, for free ends that do not relax.
     """
     state = State(data, layout, x)
     value, allowed = state.value, state.allowed
@@ -638,7 +600,7 @@ def predict(data: FitData, layout: Layout, x: Array, start: Array | None, own: A
         k=k,
         length=state.length,
         section=state.section[0],
-        q0=state.rest,
+        q0=state.rest if data.memory is None else _remembering(state, data.memory, start),
         alpha0=state.clamp,
         dead_force=state.push_beyond[..., None] * force[:, None, :] + weight_beyond,
     )
@@ -648,30 +610,42 @@ def predict(data: FitData, layout: Layout, x: Array, start: Array | None, own: A
     elif remembering is not None:
         solved = _relaxed(problem, remembering, start)
     else:
-        solved = free_ends(problem, data.poses, start)
-    (s, _), ride = state.places(solved), state.ride(solved)
+        solved = free_ends(problem, data.poses, start, settings)
+    s, ride = state.ride(solved)
     pose = ride.pose(solved.xy(s), value("origin"), data.of_tags(value("turn")))
     if data.rulers is not None:
         pose[..., :2] = paired(data.rulers, pose[..., 1] + value("across"))
     for (i, c), zero in zip(zeroed_coordinates(data.observations), value("zero"), strict=True):
         pose[:, i, c] -= zero
-    return Prediction(data, layout, x, solved, pose + allowed("poses"), force, own)
+    return Prediction(data, layout, x, solved, s, ride, pose + allowed("poses"), force, own)
+
+
+def _remembering(state: State, memory: Memory, start: Array | None) -> Array:
+    """(F, Q) rad, the curvature at rest of a beam with this memory that is bent as in `start`."""
+    bent = np.zeros(memory.before.shape[:2]) if start is None else start - state.rest
+    return np.asarray(state.rest + memory.shift(state.value("relaxation"), bent)[0])
 
 
 def _slopes(now: Prediction) -> Slopes:
     data, layout, solved, axes = now.data, now.layout, now.solved, now.log_axes
-    bent, has_memory = _bent(now), now.memory is not None
+    bent, has_memory, nodes = _bent(now), now.memory is not None, solved.q.shape[1]
     pushes = push_forces(now.force - now.own - now.allowed("force"), axes, data.rate)
-    changes = balance_changes(bent) | {name: pushed_by(bent.beyond, f) for name, f in pushes.items()}
-    columns, nodes = response_columns(changes | _allowance_changes(data, bent)), solved.q.shape[1]
-    each_node = of_rest_curvature(solved.problem, np.eye(nodes) if has_memory else np.zeros((nodes, 0)))
-    both, by_end = _responses(now, columns.changes + each_node)
+    pushes |= {a.name: a.basis for a in data.entering("force")}
+    moves = {a.name: a.basis for a in data.entering("place")}
+    changes = load_changes(bent)
+    changes |= {a.name: Perturbation(a.basis, None, None, np.zeros(a.count)) for a in data.entering("load")}
+    if has_memory:  # what a force does in one frame depends on those before
+        changes |= {name: pushed_by(bent.beyond, force) for name, force in pushes.items()}
+        changes |= {name: placed_by(bent, basis) for name, basis in moves.items()}
+    columns = response_columns(changes, bent)
+    each_node = (of_rest_curvature(solved.problem, np.eye(nodes)),) if has_memory else ()
+    both, by_end = _responses(now, Perturbations((*columns.changes.parts, *each_node)))
     response, by_node = np.split(both, [len(columns.changes.clamp)], axis=-1)
-    (s, _), ride = now.places(solved), now.ride(solved)
+    s, ride = now.s, now.riding
     if data.ends is None and "length" in columns.slices:
         response[:, :, :2, columns.slices["length"]] += solved.xy(s)[..., None]
     carried = ride.carry(response)
-    free, error = free_columns(layout, data.number), layout.columns("force", data.number)
+    free, error = layout.free_columns(data.number), layout.columns("force", data.number)
     out = np.zeros((*now.pose.shape, len(layout.known_to(data.number)) if error is None else error.start))
     slopes = Slopes(out, columns.split(carried)["push"], axes, data.error_weights)
     if has_memory:
@@ -681,10 +655,13 @@ def _slopes(now: Prediction) -> Slopes:
             out = np.concatenate([out, ride.carry(memory.by_pushes)], axis=-1)
             slopes = replace(slopes, j=out, added=ride.carry(memory.by_push), keys=memory.keys)
     blocks = columns.split(carried)
-    blocks["rest change"] = blocks["curvature"]
-    blocks |= allowed_blocks(data.entering("clamp") + data.entering("poses"), blocks)
+    if not has_memory:
+        blocks |= {name: blocks["push"] @ force[:, None] for name, force in pushes.items()}
+        blocks |= {name: blocks["place"] * basis[:, None, None, :] for name, basis in moves.items()}
+    blocks |= {a.name: blocks["clamp"] * a.basis[:, None, None, :] for a in data.entering("clamp")}
+    blocks |= {a.name: a.basis for a in data.entering("poses")} | {"rest change": blocks["curvature"]}
     put_blocks(slopes.j, free, blocks)
-    put_tags(slopes.j, free, _tag_motion(now, ride, s), data.tags)
+    put_tags(slopes.j, free, _tag_motion(now), data.tags)
     if data.ends is not None:
         held = replace(ride, angle=ride.angle[data.ends.frames])
         put_ends(slopes.j, data.ends, layout, data.number, held.carry(by_end))
@@ -694,31 +671,18 @@ def _slopes(now: Prediction) -> Slopes:
     return slopes
 
 
-def _allowance_changes(data: FitData, bent: BentBeam) -> dict[str, Perturbation]:
-    """How the allowances of push and loads enter the balance of moments, by name."""
-    changes = {}
-    for a in data.allowances:
-        if a.enters == "force":
-            changes[a.name] = pushed_by(bent.beyond, a.basis)
-        elif a.enters == "place":
-            changes[a.name] = placed_by(bent, a.basis)
-        elif a.enters == "load":
-            changes[a.name] = Perturbation(a.basis, None, None, np.zeros(a.count))
-    return changes
-
-
 def _responses(now: Prediction, changes: Perturbations) -> tuple[Array, Array]:
     """(F, m, 3, P) of the beam's places under the tags to changes, and (H, m, 3, 3) to the held ends."""
-    solved, (s, _) = now.solved, now.places(now.solved)
+    solved, s = now.solved, now.s
     if now.data.ends is None:
         return respond(solved, changes).poses(s), np.zeros((0, s.shape[-1], 3, 3))
     wrench = of_force(solved.problem, np.ones(1)) + of_moment(solved.problem, np.ones(1))
     return with_ends_held(respond(solved, changes + wrench).poses(np.append(s, 1.0)), now.data.ends)
 
 
-def _tag_motion(now: Prediction, ride: TagRide, s: Array) -> TagMotion:
-    """How the tags at places `s` (S,) move with their mounting; a metre along is one of the length as written."""
-    seen, solved = now.pose - now.allowed("poses"), now.solved
+def _tag_motion(now: Prediction) -> TagMotion:
+    """How the tags move with their mounting; a metre along is one of the length as written."""
+    seen, solved, s, ride = now.pose - now.allowed("poses"), now.solved, now.s, now.riding
     xy = (seen[..., :2] - now.value("origin")) / ride.scale
     written, on_beam = now.data.observations.length, ride.over <= 0.0
     if ride.ruler:
@@ -738,6 +702,8 @@ def _bent(now: Prediction) -> BentBeam:
         weight_by_k = data.mass.by_stiffness(data.problem, k, data.on_nodes, now.value("mass"))
     if now.relaxation is not None:
         shift = shift_derivatives(*now.relaxation, now.bending, now.solved.problem.weights)
+    elif data.memory is not None:
+        shift = data.memory.shift(now.value("relaxation"), now.bending)[1]
     return BentBeam(
         now.solved,
         data.on_nodes,
@@ -749,7 +715,7 @@ def _bent(now: Prediction) -> BentBeam:
         weight_by_k,
         {a.name: a.basis for a in data.entering("log k")},
         shift,
-        lengthens="length" in free_columns(now.layout, data.number),
+        lengthens="length" in now.layout.free_columns(data.number),
         thickens=now.section[1],
     )
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.beam.clamped_ends import end_pose, hold_near, with_end_wrench
-from onebend.beam.continuation import follow, let_fall, refine, stable_equilibria
+from onebend.beam.continuation import ContinuationSettings, follow, let_fall, refine, stable_equilibria
 from onebend.beam.problem import Problem, Resolution
 from onebend.beam.sensitivity import of_force, of_moment, respond
 from onebend.beam.statics import Equilibrium, correct, is_convex, is_stable
@@ -270,10 +270,15 @@ def with_ends_held(poses: Array, ends: HeldEnds) -> tuple[Array, Array]:
     return others, by_end
 
 
-def free_ends(problem: Problem, seen: SeenPoses | None, start: Array | None) -> Equilibrium:
+def free_ends(
+    problem: Problem,
+    seen: SeenPoses | None,
+    start: Array | None,
+    settings: ContinuationSettings = ContinuationSettings(),
+) -> Equilibrium:
     """Equilibria of free ends near shapes `start` (F, Q), else those that grow from rest, or that static poses show."""
     if seen is None:
-        return follow(problem) if start is None else refine(problem, start)
+        return follow(problem) if start is None else refine(problem, start, settings=settings)
     return nearest(problem, seen) if start is None else stay(problem, start)
 
 

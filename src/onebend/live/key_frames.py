@@ -192,7 +192,7 @@ class KeyFrames:
     residual: Array  # (K, m, 3) measured less predicted, where it was linearised
     linear: Array  # (K, m, 3, n + 3)
     rows: Array  # (K, 3 m, n + 3): the same, whitened
-    shape: Array  # (K, Q, 3 + r)
+    shape: Array  # (K, Q, 1 + r)
 
     begin = _View("numbers", 0)  # (K,) s
     end = _View("numbers", 1)  # (K,) s
@@ -211,8 +211,7 @@ class KeyFrames:
     rows_a = _View("rows", slice(-3, -1))  # (K, 3 m, 2) whitened
     rows_z = _View("rows", -1)  # (K, 3 m) whitened
     q = _View("shape", 0)  # (K, Q) rad, the shape to start from
-    by_force = _View("shape", slice(1, 3))  # (K, Q, 2) of it with the logged force
-    lags = _View("shape", slice(3, None))  # (K, Q, r) rad, curvatures that lag behind that of a beam that relaxes
+    lags = _View("shape", slice(1, None))  # (K, Q, r) rad, curvatures that lag behind that of a beam that relaxes
 
     @property
     def rest(self) -> BoolArray:
@@ -287,7 +286,7 @@ def empty(most: int, tags: int, parameters: int, nodes: int, terms: int) -> KeyF
         residual=room(tags, 3),
         linear=room(tags, 3, parameters + 3),
         rows=room(3 * tags, parameters + 3),
-        shape=room(nodes, 3 + len(TIMES)),
+        shape=room(nodes, 1 + len(TIMES)),
     )
 
 

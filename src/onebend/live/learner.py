@@ -7,6 +7,7 @@ do not grow.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,24 +18,27 @@ from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers, Profile, UncertainStiffness, Uniform
 from onebend.errors import LearningError
 from onebend.learning.allowances import OF_ONE
-from onebend.learning.optimizer import MISS
+from onebend.learning.force_error import sized, spanned_error
+from onebend.learning.hyperparameters import CHOSEN, SPREAD, averaged_posterior, likeliest
+from onebend.learning.linear import Hyperparameters, RecordingNoise
+from onebend.learning.normal import Draws
+from onebend.learning.optimizer import MISS, starting
 from onebend.learning.parameters import Layout, Spline
 from onebend.learning.posterior import Nuisance
 from onebend.live import key_frames
-from onebend.live.hyperparameters import HyperparameterSearch, OnlineSettings, StiffnessChains, force_process
+from onebend.live.hyperparameters import OnlineSettings, StiffnessChains, expected_error
 from onebend.live.key_frames import CourseSoFar, KeyFrames, LoadStages
-from onebend.live.model import MOST_PANELS, ORDER, Lineariser, LiveSession, session_of
+from onebend.live.model import MOST_NODES, Lineariser, LiveSession, problem_of, session_of
 from onebend.live.posterior import (
     KeyFramePosterior,
-    KeyFrameSums,
     LiveHyperparameters,
-    LivePrior,
     force_in,
-    gather,
+    information,
     marginalise_oldest,
+    model_of,
     nothing_marginalised,
     robust_weights,
-    solve,
+    spans_of,
     tag_noise_size,
     tag_residuals,
     without_force,
@@ -123,13 +127,19 @@ def write_frame(keys: KeyFrames, frame: CheckedFrame, rate: Array, terms: Array)
     return i
 
 
+_FARTHEST = 2.0  # changes of the force like the last one, over which a shape is extrapolated
+
+
 def expect_shape(keys: KeyFrames, i: int, error: Array) -> None:
-    """First guess of the shape of frame i, the last one, under the force error (2,) [N] that is expected."""
+    """First guess of the shape of frame i, the last one, under the force error (2,) [N] that is expected: it goes on as
+    it changed last, as the force does."""
     keys.error[i], keys.stale[i], keys.lost[i] = error, False, False
-    keys.shape[i], keys.grid[i] = 0.0, 0.0
-    if i > 0:
-        pushed = (keys.force[i - 1 : i + 1] - keys.error[i - 1 : i + 1]) * ~keys.rest[i - 1 : i + 1, None]
-        keys.q[i], keys.grid[i] = keys.q[i - 1] + keys.by_force[i - 1] @ (pushed[1] - pushed[0]), keys.grid[i - 1]
+    keys.shape[i], keys.grid[i] = (keys.shape[i - 1], keys.grid[i - 1]) if i else (0.0, 0.0)
+    if i > 1 and keys.grid[i - 2] == keys.grid[i - 1]:
+        near = slice(i - 2, i + 1)
+        before, now = np.diff((keys.force[near] - keys.error[near]) * ~keys.rest[near, None], axis=0)
+        share = np.clip(now @ before / max(float(before @ before), 1e-300), -_FARTHEST, _FARTHEST)
+        keys.q[i] += share * (keys.q[i - 1] - keys.q[i - 2])
 
 
 def surprise(
@@ -147,8 +157,8 @@ def surprise(
     i, tags, (rows, own) = keys.used - 1, len(frame.visible), expected
     j, a = keys.j[i].reshape(-1, len(x)), keys.a[i].reshape(-1, 2)
     innovation = keys.zeta[i] - keys.j[i] @ x + keys.a[i] @ keys.error[i]
-    by_errors = -a[:, None, :] * rows[None, :, None]
-    spread = solution.spread(by_errors.reshape(len(j), -1), j) + own * a @ a.T
+    by_errors, p = (-a[:, None, :] * rows[None, :, None]).reshape(len(j), -1), solution.count
+    spread = solution.spread(np.concatenate([j[:, :p], by_errors, j[:, p:]], axis=1)) + own * a @ a.T
     blocks = spread.reshape(tags, 3, tags, 3)[np.arange(tags), :, np.arange(tags)]
     solved = np.linalg.solve(blocks + marker**2 * frame.covariance, innovation[..., None])[..., 0]
     return innovation, np.sqrt(np.maximum(np.sum(innovation * solved, axis=1), 0.0))
@@ -216,31 +226,32 @@ def _motion(xy: Array, visible: BoolArray) -> Array:
 
 
 _MOVED = 0.5  # posterior sd: a larger distance from the linearisation point moves that point
-_NOISE_EVERY = 8  # of so many trials one counts the effective parameters instead
 _MANY = 6  # key frames linearised with one frame: after more, nothing else is done in that update
-_MISSED_EVERY = 8  # of so many updates without a solution one looks for a missed tag
+_LOOK, _LAST_LOOK = (10, 0.05), (60, 0.5)  # evaluations of the evidence, and sd: in one look, and after a push
+_WHITE_SPREAD = 0.7  # sd of the log of the force error's white part
+_SETTLED_STEPS = 40  # of the chains, after a push
+_DRAWS = Draws(chains=1, burn=5, kept=15)  # for a reading, of each node of the cubature
+_TURNS = 8  # of so many updates without a solution one looks for a missed tag, one counts the effective parameters
 
 
 class Smoother:
     """All state of a live learner; its size is fixed when it is made."""
 
-    def __init__(self, session: LiveSession, prior: LivePrior, x: Array, settings: OnlineSettings) -> None:
-        tags, n = len(session.marker_s), session.layout.size
-        self.x = x  # (n,) the estimate
-        self.point = x  # (n,) linearisation point; one for all frames, or their mismatch would look like information
-        self.hyperparameters = hyperparameters = settings.hyperparameters
-        self.keys = key_frames.empty(settings.key_frames, tags, n, MOST_PANELS * ORDER, session.terms.count)
+    def __init__(self, session: LiveSession, start: _Start, settings: OnlineSettings) -> None:
+        tags, n = len(session.observations.marker_s), session.layout.size
+        self.x = start.x  # (n,) the estimate
+        self.point = start.x  # (n,) where all frames are linearised, or their mismatch would look like information
+        self.keys = key_frames.empty(settings.key_frames, tags, n, MOST_NODES, session.terms.count)
         self.marginalised = nothing_marginalised(n)
-        self._session, self._prior, self._settings = session, prior, settings
-        self._search = HyperparameterSearch(hyperparameters, settings.memory_doubt)
-        spline, level = session.layout.spline, float(prior.mean[0])
-        begin = spline.variances(settings.roughness, settings.steps)
-        self._stiffness_prior = prior.stiffness_prior(begin)
-        drawn = settings.adapt and prior.fixed is None
-        self._chains = StiffnessChains(spline, level, settings.roughness, settings.steps) if drawn else None
+        self._session, self._start, self._settings = session, start, settings
+        spline, noise = session.layout.spline, RecordingNoise(settings.marker_noise, settings.force.white)
+        parts = spline.variances(settings.roughness, settings.steps)
+        self.hyperparameters = Hyperparameters(parts, 1.0, 1.0, 1.0, 1.0, (noise,))
+        drawn = settings.adapt and start.stiffness is None
+        self._chains = StiffnessChains(spline, start.level, settings.roughness, settings.steps) if drawn else None
         self._stages, self._course = LoadStages(session.length, tags), CourseSoFar(session.course, session.terms)
-        self._guess, self._spent = hyperparameters.marker, 0.0
-        self._looks, self._turns = 0, 0
+        self._spent = 0.0
+        self._turns = 0
         self._linearised = 0  # key frames linearised in the last update
         self.misfit = 0.0  # of the tags, over their covariances; 0 while it is no more than noise
         self._failed = False  # whether the last solution failed
@@ -251,10 +262,12 @@ class Smoother:
         self._away = np.zeros(tags, dtype=np.int64)
         self._largest = 0.0
         self._expected = np.zeros(2), np.zeros(0), 0.0  # force error of the last frame, before its tags count
-        self._sums: KeyFrameSums = gather(self.keys, self.marginalised)
-        self.solution: KeyFramePosterior = solve(
-            self._sums, prior, self._stiffness_prior, hyperparameters, self._process(hyperparameters)
-        )
+        self.solution = self._solve()
+
+    @property
+    def marker(self) -> float:
+        """Size of the tags' noise, over their covariances."""
+        return self.hyperparameters.noise[0].marker
 
     def enter(self, frame: CheckedFrame, rate: Array) -> bool:
         """Add the frame as the last key frame, linearised; False where it has no equilibrium and is left out.
@@ -286,8 +299,7 @@ class Smoother:
             if missed.isdisjoint((pair, pair + 1, slot)):
                 key_frames.accept_average(keys, pair, slot, self.point)
         while keys.used > self._settings.key_frames + 1:
-            marker = max(self.hyperparameters.marker, self.misfit)
-            marginalise_oldest(keys, self.marginalised, self._process(self.hyperparameters), marker, self._stages.own)
+            marginalise_oldest(keys, self.marginalised, self._process, max(self.marker, self.misfit), self._stages.own)
         return True
 
     def _linearise(self, chosen: list[int]) -> set[int]:
@@ -320,8 +332,7 @@ class Smoother:
         A tag too far from where it was expected gets no weight, unless that lasts for some frames.
         """
         keys, i = self.keys, self.keys.used - 1
-        marker, expected = self.hyperparameters.marker, self._expected[1:]
-        innovation, distance = surprise(keys, frame, self.solution, self.x, marker, expected)
+        innovation, distance = surprise(keys, frame, self.solution, self.x, self.marker, self._expected[1:])
         far = frame.visible & (distance > self._settings.gate)
         self._away = np.where(far, self._away + 1, np.where(frame.visible, 0, self._away))
         used = np.asarray(frame.visible & (~far | (self._away >= self._settings.patience)))
@@ -335,7 +346,7 @@ class Smoother:
 
     def advance(self) -> None:
         """After a frame: every other update solves for the posterior. The updates between take one step of the chains
-        or try other hyperparameters; after many linearisations they do neither, so that all updates cost alike.
+        or seek other hyperparameters; after many linearisations they do neither, so that all updates cost alike.
         """
         if self.pending or self._failed:
             self.pending = False
@@ -345,35 +356,32 @@ class Smoother:
         if self._linearised > _MANY:
             return
         self._turns += 1
-        if self._turns % _MISSED_EVERY == 0:
+        if self._turns % _TURNS == 0:
             self._missed = missed_tag(self.keys)
         elif self._turns % 2 and self._chains is not None:
             if self.misfit == 0.0:
                 self._chains.step(self.solution.stiffness_form)
-        elif self._settings.adapt:
-            self.look_about()
+        elif self._settings.adapt and self._turns % _TURNS == 2:
+            self._spent = self.solution.effective_parameters
+        elif self._settings.adapt and self._turns % _TURNS == 4:
+            self.look_about(*_LOOK)
 
-    def look_about(self) -> None:
-        """Try other hyperparameters on the last solution's sums, or count the effective parameters."""
-        self._looks += 1
-        if self._looks % _NOISE_EVERY == 0:
-            self._spent = self.solution.effective_parameters(self._prior, self._stiffness_prior)
-        else:
-            tried = self._search.trial(self.hyperparameters, self.solution, self._solve)
-            self.hyperparameters, self.solution = tried
+    def look_about(self, evaluations: int, stride: float) -> None:
+        """Seek better sizes of the force error in the last solution's evidence, near those of now: see `likeliest`."""
+        with suppress(np.linalg.LinAlgError):
+            model = self.solution.model
+            chosen = likeliest(model.evidence, self.hyperparameters, evaluations, stride)
+            self.solution, self.hyperparameters = model.posterior(chosen), chosen
 
     def renew(self) -> bool:
         """Solve for the posterior, move the estimate, and renew the robust weights. False where the solution fails: the
         last one stays, and `doubts` says so until a later one succeeds."""
         keys, settings = self.keys, self._settings
-        self._sums = gather(keys, self.marginalised, self._stages.own)
-        bend = self._stages.largest / self._session.length
-        self._prior = replace(self._prior, scale=self._session.prior_scale(self._largest, bend))
         if self._chains is not None:
-            self._stiffness_prior = self._prior.stiffness_prior(self._chains.parts)
-        self.misfit = misfit(keys, self.hyperparameters.marker)
+            self.hyperparameters = replace(self.hyperparameters, part_variances=self._chains.parts)
+        self.misfit = misfit(keys, self.marker)
         try:
-            self.solution = solution = self._solve(self.hyperparameters)
+            self.solution = solution = self._solve()
         except np.linalg.LinAlgError:
             self._failed = True
             return False
@@ -383,19 +391,36 @@ class Smoother:
         self.x = self.x + step * min(1.0, settings.step / largest)
         residual = tag_residuals(keys, solution)
         if settings.adapt:
-            marker = tag_noise_size(keys, residual, self._spent, self._guess)
-            self.hyperparameters = replace(self.hyperparameters, marker=marker)
-        marker = max(self.hyperparameters.marker, self.misfit)
+            marker = tag_noise_size(keys, residual, self._spent, settings.marker_noise)
+            noise = replace(self.hyperparameters.noise[0], marker=marker)
+            self.hyperparameters = replace(self.hyperparameters, noise=(noise,))
+        marker = max(self.marker, self.misfit)
         keys.weight[: keys.used] = robust_weights(keys, residual, marker, settings.bulk)
         fresh = not np.any(keys.stale[: keys.used])
         if fresh and solution.distance(keys.error[: keys.used], self.x - self.point) > _MOVED:
             self.move()
         return True
 
-    def _solve(self, hyperparameters: LiveHyperparameters) -> KeyFramePosterior:
-        """The posterior under these hyperparameters; a misfit beyond the tags' noise counts as noise."""
-        coarse = replace(hyperparameters, marker=max(hyperparameters.marker, self.misfit))
-        return solve(self._sums, self._prior, self._stiffness_prior, coarse, self._process(hyperparameters))
+    def _solve(self) -> KeyFramePosterior:
+        """The posterior over the key frames as they are; a misfit beyond the tags' noise counts as noise."""
+        keys, settings, session = self.keys, self._settings, self._session
+        spans = spans_of(keys, self.marginalised, self._stages.own)
+        expected = replace(self.hyperparameters, coloured=1.0, memory=1.0, walk=1.0, load=1.0, white=1.0)
+        error, start = spanned_error(self._expected_error, spans), (self._start.level, self._start.stiffness)
+        p, marker = session.layout.spline.count, max(self.marker, self.misfit)
+        form = information(keys, self.marginalised, p, marker=marker, white=self._process.white)
+        spread = np.where(np.array(CHOSEN) == "memory", settings.memory_doubt, np.append(SPREAD, _WHITE_SPREAD))
+        model = model_of(form, self.nuisance_sd, problem_of(session, error, start, expected), spread)
+        return model.posterior(self.hyperparameters)
+
+    @property
+    def _process(self) -> ForceNoise:
+        """The force's error, as it is now."""
+        return sized(self._expected_error, *self.hyperparameters.of_force)
+
+    @property
+    def _expected_error(self) -> ForceNoise:
+        return expected_error(self._settings, self._largest, self.misfit > FAR_OFF * self.marker)
 
     def catch_up(self) -> None:
         """Solve now if a frame has come since the last time."""
@@ -414,10 +439,10 @@ class Smoother:
             if not self.renew():
                 return
         if self._settings.adapt:
-            for _ in range(2 * self._search.round):
-                self.look_about()
+            for _ in range(_SETTLED_STEPS):
                 if self._chains is not None:
                     self._chains.step(self.solution.stiffness_form)
+            self.look_about(*_LAST_LOOK)
 
     def move(self) -> None:
         """Make the present estimate the linearisation point."""
@@ -443,27 +468,26 @@ class Smoother:
     def last_doubts(self) -> tuple[str, ...]:
         """The same, with the missed tag of the last look for one."""
         reasons = {"live: failed": self._failed, "live: too soft": self._too_soft}
-        own = key_frame_doubts(self.keys, self.hyperparameters.marker, self.misfit, self._missed)
+        own = key_frame_doubts(self.keys, self.marker, self.misfit, self._missed)
         return (*(say(code) for code, holds in reasons.items() if holds), *own)
 
     def posterior(self) -> tuple[Array, Array, Array]:
         """(n,) and (n, n) of the parameters, and mean steps (p - 1,) of log k, averaged over the hyperparameters."""
         solution, p = self.solution, self._session.layout.spline.count
-        if self._chains is None:
-            k, covariance, steps = solution.x[:p], solution.covariance()[:p, :p], np.zeros(p - 1)
-        else:
-            k, covariance, steps = self._chains.mixed(solution.stiffness_form)
-        x, covariance = solution.with_stiffness(*self._search.averaged(k, covariance))
+        k, covariance, steps = solution.x[:p], solution.solved.pair(0)[:p, :p], np.zeros(p - 1)
+        if self._settings.adapt:
+            sizes, evidence = self.hyperparameters, solution.model.evidence
+            sizes = replace(sizes, chains=None if self._chains is None else self._chains.stand)
+            of_others = replace(evidence, spread=evidence.spread[: len(SPREAD)])  # the white part keeps its size
+            stiffness, _ = averaged_posterior(of_others, sizes, [{}], _DRAWS)
+            k, covariance, steps = stiffness.mean, stiffness.covariance, stiffness.steps
+        x, covariance = solution.given_stiffness(k), solution.covariance(covariance)
         return *self._lineariser.secant(self.keys, self.point, x, covariance), steps
 
     @property
     def nuisance_sd(self) -> Array:
         """(n - p,) one sd before the data of all parameters but log k's coefficients."""
-        return self._prior.nuisance_sd
-
-    def _process(self, hyperparameters: LiveHyperparameters) -> ForceNoise:
-        far_off = self.misfit > FAR_OFF * hyperparameters.marker
-        return force_process(self._settings, hyperparameters, self._largest, far_off)
+        return self._session.other_sd(self._largest, self._stages.largest / self._session.length)
 
 
 _EXACT = 1e-12  # of the largest variance of a start: smaller ones are rounding
@@ -524,8 +548,7 @@ class OnlineLearner:
             thickness=thickness,
             tag_size=tag_size,
         )
-        prior, x = _prior_and_point(self._session.layout, start)
-        self._state = Smoother(self._session, prior, x, settings)
+        self._state = Smoother(self._session, _start_of(self._session.layout, start), settings)
         self._doubts = start.doubts if isinstance(start, UncertainStiffness) else ()  # what it rests on stays in doubt
         self._last: tuple[float, Array] | None = None
         self._frames = 0
@@ -561,11 +584,11 @@ class OnlineLearner:
                 is not positive definite, time that does not go on, a place outside (0, 1], gravity without mass. The
                 learner stays as it was.
         """
-        tags = len(self._session.marker_s)
+        tags = len(self._session.observations.marker_s)
         frame = checked_frame(tags, time, xy, angle, covariance, force, push_s, loaded, gravity)
         if self._last is not None and not time > self._last[0]:
             raise LearningError(f"frames must come in order of time: {time:g} s after {self._last[0]:g} s")
-        if np.any(frame.gravity != 0.0) and self._session.mass <= 0.0:
+        if np.any(frame.gravity != 0.0) and self._session.observations.stated.mass <= 0.0:
             raise LearningError("gravity acts in the plane, so the beam's mass must be given")
         rate = np.zeros(2) if self._last is None else (frame.force - self._last[1]) / (time - self._last[0])
         self._last = (time, frame.force)
@@ -595,13 +618,15 @@ class OnlineLearner:
     def left_out(self) -> tuple[str, ...]:
         """What the fit allows for and this learner does not: it takes the beam and the bench as ideal there,
         and its band holds no more of it than what the discrepancy takes in."""
-        return tuple(sorted(OF_ONE - self._session.carried - self._held))
+        return tuple(sorted(OF_ONE - self._session.columns.keys() - self._held))
 
     @property
     @one_blas_thread
     def hyperparameters(self) -> LiveHyperparameters:
         """Sizes of the tags' noise and of the force error, as they are now."""
-        return self._state.hyperparameters
+        noise, state = self._state.solution.process, self._state
+        load = state.hyperparameters.load
+        return LiveHyperparameters(state.marker, noise.white, noise.coloured, noise.tau, noise.walk, load)
 
     @property
     @one_blas_thread
@@ -619,7 +644,7 @@ class OnlineLearner:
         spline, (mean, covariance, steps) = self._session.layout.spline, self._state.posterior()
         fine, onto, p = spline.finer, spline.on_finer, spline.count
         index = np.arange(p)
-        if "patches" in self._session.carried:  # k(s) has them in it
+        if "patches" in self._session.columns:  # k(s) has them in it
             under_tags = self._session.layout.index["patches", -1].where
             index = np.append(index, np.arange(under_tags.start, under_tags.stop))
             onto = np.column_stack([onto, self._session.patches_on_finer])
@@ -666,31 +691,36 @@ class OnlineLearner:
         if np.any(theta0 != 0.0):
             rest = Powers(tuple(np.linalg.solve(powers_to_legendre(len(theta0)), theta0).tolist()))
         length = self._session.length
-        mass = Uniform(self._session.mass / length)
+        mass = Uniform(self._session.observations.stated.mass / length)
         return Beam(length, self.stiffness.profile, rest_curvature=rest, mass_per_length=mass)
 
 
-def _prior_and_point(layout: Layout, start: Profile | float | UncertainStiffness) -> tuple[LivePrior, Array]:
-    x, mean, p = np.zeros(layout.size), np.zeros(layout.size), layout.spline.count
-    if isinstance(start, UncertainStiffness):
-        if len(start.mean) < p:
-            raise LearningError(
-                f"the stiffness to go on from has {len(start.mean)} functions, fewer than the {p} of the settings: "
-                "fit it with more, or go on with fewer"
-            )
-        s = np.linspace(0.0, 1.0, 8 * len(start.mean))
-        onto = np.linalg.lstsq(layout.spline.basis(s), start.basis(s), rcond=None)[0]
-        offset = np.zeros(p) if start.offset is None else layout.spline.nearest(start.offset)
-        x[:p] = mean[:p] = onto @ start.mean + offset
-        size, ways = np.linalg.eigh(onto @ start.covariance @ onto.T)
-        return LivePrior(layout, mean, np.asarray((ways / np.maximum(size, _EXACT * size[-1])) @ ways.T)), x
-    s = np.linspace(0.0, 1.0, 8 * p)
-    k = np.full(len(s), float(start)) if isinstance(start, float | int) else np.asarray(start(s))
-    if not np.all(k > 0.0):
-        raise LearningError("the start stiffness must be positive everywhere")
-    x[:p] = np.linalg.lstsq(layout.spline.basis(s), np.log(k), rcond=None)[0]
-    mean[:p] = np.mean(np.log(k))
-    return LivePrior(layout, mean, None), x
+@dataclass(frozen=True)
+class _Start:
+    """Where the learner begins."""
+
+    x: Array  # (n,)
+    level: float  # prior mean of log k
+    stiffness: tuple[Array, Array] | None  # see `FitProblem`
+
+
+def _start_of(layout: Layout, start: Profile | float | UncertainStiffness) -> _Start:
+    if not isinstance(start, UncertainStiffness):
+        x, level = starting(layout, start)
+        return _Start(x, level, None)
+    x, p = np.zeros(layout.size), layout.spline.count
+    if len(start.mean) < p:
+        raise LearningError(
+            f"the stiffness to go on from has {len(start.mean)} functions, fewer than the {p} of the settings: "
+            "fit it with more, or go on with fewer"
+        )
+    s = np.linspace(0.0, 1.0, 8 * len(start.mean))
+    onto = np.linalg.lstsq(layout.spline.basis(s), start.basis(s), rcond=None)[0]
+    offset = np.zeros(p) if start.offset is None else layout.spline.nearest(start.offset)
+    x[:p] = onto @ start.mean + offset
+    size, ways = np.linalg.eigh(onto @ start.covariance @ onto.T)
+    root = np.asarray(np.linalg.qr((ways * np.sqrt(np.maximum(size, _EXACT * size[-1]))).T, mode="r")).T
+    return _Start(x, float(np.mean(x[:p])), (x[:p], root))
 
 
 def _check(length: float, marker_s: Array, mass: float) -> None:

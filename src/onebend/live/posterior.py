@@ -2,8 +2,8 @@
 
     -2 log p = sum_i |zeta_i - J_i x + A_i e_i|^2 / s^2  +  (x - x0)' P (x - x0)  +  e' C^-1 e + (marginalised) + logs
 
-C is the force error's covariance over the key frames' times. One Cholesky factorisation solves for all unknowns. Log k
-is eliminated last: this gives its information form with all else integrated out, before its prior is added.
+C is the force error's covariance over the key frames' times. This is the linear model of the fit (`learning.linear`),
+with a force error at each key frame in place of knots.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtrs
 
-from onebend.learning.normal import InformationForm
-from onebend.learning.parameters import Layout
+from onebend.learning.force_error import SpannedError, sized
+from onebend.learning.hyperparameters import Evidence
+from onebend.learning.linear import Eliminated, FitProblem, Hyperparameters, JointInformation, Solved, eliminated
+from onebend.learning.normal import BlockRoot, InformationForm, solved_lower
 from onebend.live.key_frames import AT_REST, KeyFrames
 from onebend.recording.force_noise import TimeSpans, covariance, fast_variance, slow_variance, with_one_more
 from onebend.records import Array, ForceNoise
@@ -31,12 +32,6 @@ class Marginalised:
 
     rows: Array  # (n + 2, n + 3) upper triangular `[R | z]`: -2 log likelihood |R (x, e) - z|^2
     time: float  # s, of the slow force error e (2,); minus infinity while nothing is marginalised
-
-    @property
-    def form(self) -> InformationForm:
-        """The same on all n + 2 of (x, e)."""
-        root, z = self.rows[:, :-1], self.rows[:, -1]
-        return InformationForm(root.T @ root, root.T @ z)
 
     def add(self, new_rows: Array, time: float, *, slow: float, fast: float) -> None:
         """Add one frame's rows (R, n + 3) on x and its own force error; the slow error moves to that frame's time.
@@ -97,12 +92,9 @@ def _triangle(rows: Array) -> Array:
     return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
-_ROUNDING = 1e-11  # of the information: added to its diagonal against rounding
-
-
 @dataclass(frozen=True)
 class LiveHyperparameters:
-    """The hyperparameters but those of log k's prior, which are drawn (`stiffness_hyperparameters.py`)."""
+    """The hyperparameters but those of log k's prior, which are drawn."""
 
     marker: float  # noise of the tags over what their covariances say
     white: float  # N, force error of every frame
@@ -113,239 +105,144 @@ class LiveHyperparameters:
 
 
 @dataclass(frozen=True)
-class LivePrior:
-    """The prior of the parameters."""
+class KeyFrameModel:
+    """The linear model over the key frames: log k (p), the force's error at the slots, which are the last frame that
+    was marginalised, if any, and the key frames, and all other parameters (n - p)."""
 
-    layout: Layout
-    mean: Array  # (n,)
-    fixed: Array | None  # (p, p) precision of log k's coefficients; None: it follows from the variances of its parts
-    scale: Array | float = 1.0  # (n - p,) factors on the sds of all other parameters, as the push has shown so far
+    form: InformationForm  # of all, in this order
+    other_sd: Array  # (n - p,) prior sds of the others, whose means are zero
+    others: Eliminated  # the others, integrated out
+    evidence: Evidence  # of log k and the force's error
 
-    @cached_property
-    def nuisance_sd(self) -> Array:
-        """(n - p,) of all parameters but log k's coefficients; their means are zero."""
-        return np.asarray(self.scale * np.concatenate([b.prior_sd for b in self.layout.blocks if b.start >= 0][1:]))
+    @property
+    def error(self) -> SpannedError:
+        """The force's error before the data."""
+        error = self.evidence.problem.recordings[0].error
+        assert isinstance(error, SpannedError)
+        return error
 
-    @cached_property
-    def nuisance_precision(self) -> Array:
-        """(n - p,)."""
-        return np.asarray(1.0 / self.nuisance_sd**2)
-
-    def stiffness_prior(self, parts: Array) -> InformationForm:
-        """The prior of log k's coefficients; `parts` (n,): variances of its parts."""
-        precision, spline = self.fixed, self.layout.spline
-        if precision is None:
-            precision, _ = _inverse((spline.parts * parts) @ spline.parts.T)
-        return InformationForm(precision, precision @ self.mean[: spline.count])
-
-
-@dataclass(frozen=True)
-class KeyFrameSums:
-    """Sums of products over the key frames, at unit noise; slot 0 is that of the marginalised frames, if any."""
-
-    spans: TimeSpans
-    xx: Array  # (n, n)
-    xe: Array  # (n, 2 slots)
-    ee: Array  # (slots, 2, 2)
-    bx: Array  # (n,)
-    be: Array  # (slots, 2)
-    c: float
-    rows: float  # count of the numbers measured
-    rest: Array  # (slots,) 1 where the log shows its error
-    log: Array  # (slots, 2) N, the log there
-    marginalised: Marginalised
+    def posterior(self, hyperparameters: Hyperparameters) -> KeyFramePosterior:
+        """Raises `numpy.linalg.LinAlgError` where a matrix is not positive definite."""
+        return KeyFramePosterior(self, hyperparameters, self.evidence.posterior(hyperparameters))
 
 
 @dataclass(frozen=True)
 class KeyFramePosterior:
-    """The normal posterior of the force errors e and the parameters x.
+    """The normal posterior of the n parameters and of the force's error."""
 
-    The unknowns are in two parts: first e and the nuisances, then log k's coefficients. The Cholesky factor of their
-    information is `[[factor, 0], [across', lower]]`.
-    """
+    model: KeyFrameModel
+    hyperparameters: Hyperparameters
+    solved: Solved  # of log k and the force's error
 
-    x: Array  # (n,)
-    e: Array  # (slots, 2) N
-    spans: TimeSpans
-    process: ForceNoise
-    inverse: Array  # (slots, slots) of the force error's covariance
-    factor: Array
-    across: Array
-    lower: Array
-    right: Array  # information vector of the first part, solved with its factor
-    stiffness_form: InformationForm  # of log k before its prior, all else integrated out
-    minus_log: float  # -2 log evidence, but for what depends on the prior of log k
+    @cached_property
+    def x(self) -> Array:
+        """(n,)."""
+        return self.given_stiffness(self.solved.mean[: self.count])
 
-    def spread(self, errors: Array, j: Array) -> Array:
-        """(R, R) covariance of R linear functions: rows `errors` (R, 2 slots) times e, plus `j` (R, n) times x."""
-        p = len(self.lower)
-        first, _ = dtrtrs(self.factor, np.concatenate([errors.T, j[:, p:].T]), lower=1)
-        last, _ = dtrtrs(self.lower, j[:, :p].T - self.across.T @ first, lower=1)
-        return np.asarray(first.T @ first + last.T @ last)
+    @property
+    def count(self) -> int:
+        """p."""
+        return int(self.solved.before.parts[0].stop)
+
+    @property
+    def e(self) -> Array:
+        """(slots, 2) N."""
+        return self.solved.mean[self.count :].reshape(-1, 2)
+
+    @property
+    def process(self) -> ForceNoise:
+        """The force's error."""
+        return sized(self.model.error.noise, *self.hyperparameters.of_force)
+
+    @cached_property
+    def stiffness_form(self) -> InformationForm:
+        """Of log k before its prior, all else integrated out."""
+        return self.solved.left
+
+    def given_stiffness(self, k: Array) -> Array:
+        """(n,) most probable parameters where log k's coefficients are (p,)."""
+        (errors,), others = self.solved.own, self.model.others
+        e = errors.root.times(errors.given(k, errors.white))
+        return np.concatenate([k, others.root.times(others.given(np.concatenate([k, e]), others.white))])
+
+    def covariance(self, of_stiffness: Array) -> Array:
+        """(n, n) of the parameters where log k's coefficients have the covariance (p, p)."""
+        whole, p = self.model.others.joint(self.solved.own[0].joint(of_stiffness)), self.count
+        kept = np.append(np.arange(p), np.arange(len(whole) - len(self.model.other_sd), len(whole)))
+        return whole[np.ix_(kept, kept)]
+
+    def spread(self, rows: Array) -> Array:
+        """(R, R) covariance of R linear functions of log k, the force's error and all others, rows (R, P)."""
+        others, known = self.model.others, len(self.solved.mean)
+        white = solved_lower(others.factor, others.root.transposed_times(rows[:, known:].T))
+        return white.T @ white + self.solved.spread(rows[:, :known] - white.T @ others.across)
 
     def distance(self, error: Array, x: Array) -> float:
         """Distance in posterior sd from a point whose last K force errors are `error` (K, 2) and whose parameters are
         `x` (n,) away."""
-        p, away = len(self.lower), np.zeros_like(self.e)
-        away[len(away) - len(error) :] = self.e[len(away) - len(error) :] - error
-        first = np.concatenate([away.ravel(), x[p:]])
-        ahead = self.factor.T @ first + self.across @ x[:p]
-        behind = self.lower.T @ x[:p]
-        return float(np.sqrt(ahead @ ahead + behind @ behind))
+        p, e, before = self.count, np.zeros_like(self.e), self.solved.before
+        e[len(e) - len(error) :] = self.e[len(e) - len(error) :] - error
+        few = np.concatenate([x[:p], e.ravel()])
+        away, z = np.append(few, x[p:]), np.append(before.whiten(before.mean + few), x[p:] / self.model.other_sd)
+        return float(np.sqrt(z @ z + away @ self.model.form.matrix @ away))
 
-    def with_stiffness(self, k: Array, covariance: Array) -> tuple[Array, Array]:
-        """(n,) and (n, n): mean and covariance of all parameters where log k's have these, (p,) and (p, p)."""
-        p, m = len(k), len(self.x) - len(k)
-        root, across, right = self.factor[-m:, -m:], self.across[-m:], self.right[-m:]
-        follow = -np.asarray(dtrtrs(root, across, lower=1, trans=1)[0])
-        alone, _ = dpotri(root, lower=1)
-        x, out = np.empty(p + m), np.empty((p + m, p + m))
-        x[:p], x[p:] = k, dtrtrs(root, right - across @ k, lower=1, trans=1)[0]
-        out[:p, :p] = covariance
-        out[p:, :p] = follow @ covariance
-        out[:p, p:] = out[p:, :p].T
-        out[p:, p:] = _symmetric(alone) + out[p:, :p] @ follow.T
-        return x, out
-
-    def covariance(self) -> Array:
-        """(n, n) of the parameters."""
-        inverse, _ = dpotri(self.lower, lower=1)
-        return self.with_stiffness(self.x[: len(self.lower)], _symmetric(inverse))[1]
-
-    def effective_parameters(self, prior: LivePrior, stiffness_prior: InformationForm) -> float:
+    @property
+    def effective_parameters(self) -> float:
         """Effective number of parameters: how many the data determine, rather than the prior."""
-        p, c = len(self.lower), self.covariance()
-        held = float(np.sum(c[:p, :p] * stiffness_prior.matrix)) + float(prior.nuisance_precision @ np.diag(c)[p:])
-        return len(self.x) - held
+        each = np.sum(self.model.others.joint(self.solved.pair(0)) * self.model.form.matrix, axis=1)
+        return float(np.sum(each) - np.sum(each[self.count : len(self.solved.mean)]))
 
     def predicted_error(self, time: float, own: float) -> tuple[Array, Array, float]:
         """Force error of a frame to come: mean (2,), weights (slots,) on the known errors, and conditional variance."""
-        with_others, alone = with_one_more(self.process, self.spans, time, own)
-        rows = self.inverse @ with_others
+        spans = self.model.error.spans
+        if not len(spans.begin):
+            return np.zeros(2), np.zeros(0), 0.0
+        with_others, alone = with_one_more(self.process, spans, time, own)
+        rows = np.asarray(np.linalg.solve(covariance(self.process, spans), with_others), dtype=float)
         return rows @ self.e, rows, alone - float(rows @ with_others)
 
 
-def gather(keys: KeyFrames, marginalised: Marginalised, own: Callable[[Array], Array] = np.zeros_like) -> KeyFrameSums:
-    """Sums over the key frames with their robust weights; `own`: the load's own time at given times."""
-    used = keys.used
-    rows, weight = keys.rows[:used], keys.weight[:used]
-    if np.any((weight != 1.0) & (weight != 0.0)):
-        rows = np.repeat(np.sqrt(weight), 3, axis=1)[..., None] * rows
-    flat = rows.reshape(-1, rows.shape[-1])
-    every = flat.T @ flat  # (n + 3, n + 3)
-    each = np.ascontiguousarray(rows[..., -3:-1].swapaxes(1, 2)) @ rows  # (K, 2, n + 3)
-    xe, ee, be = -each[..., :-3], each[..., -3:-1], -each[..., -1]
-    rest, spans = keys.rest[:used].astype(float), keys.spans(own(keys.centre))
-    log = keys.force[:used] * rest[:, None]
-    if np.isfinite(marginalised.time):
-        spans = spans.after(marginalised.time, float(own(np.array([marginalised.time]))[0]))
-        xe, ee, be, log = (np.concatenate([np.zeros((1, *v.shape[1:])), v]) for v in (xe, ee, be, log))
-        rest = np.concatenate([[0.0], rest])
-    count = 3.0 * float(np.count_nonzero(weight))
-    xe = xe.reshape(-1, xe.shape[-1]).T
-    return KeyFrameSums(
-        spans, every[:-3, :-3], xe, ee, every[:-3, -1], be, float(every[-1, -1]), count, rest, log, marginalised
-    )
-
-
-def solve(
-    sums: KeyFrameSums,
-    prior: LivePrior,
-    stiffness_prior: InformationForm,
-    hyperparameters: LiveHyperparameters,
-    process: ForceNoise,
-) -> KeyFramePosterior:
-    """The posterior under given scales; `of_k`: the prior of log k.
-
-    Raises `numpy.linalg.LinAlgError` where a matrix is not positive definite.
-    """
-    p, slots = prior.layout.spline.count, len(sums.spans.begin)
-    m, weight, known = len(sums.bx) - p, 1.0 / hyperparameters.marker**2, 2 * slots
-    inverse, log_process, certain = np.zeros((0, 0)), 0.0, np.zeros(0)
-    h = np.zeros((known + m, known + m), order="F")  # the lower triangle
-    side = np.empty((known + m, p + 1), order="F")  # behind it the right side
-    h[known:, known:], side[known:, :p], side[known:, p] = (
-        weight * sums.xx[p:, p:],
-        weight * sums.xx[p:, :p],
-        weight * sums.bx[p:],
-    )
-    h.ravel(order="K")[known * (known + m + 1) :: known + m + 1] += prior.nuisance_precision
-    information, right = weight * sums.xx[:p, :p], weight * sums.bx[:p]
-    if slots:
-        inverse, log_process = _inverse(covariance(process, sums.spans))
-        certain = sums.rest * sums.spans.frames / (AT_REST * process.white) ** 2
-        h[known:, :known], side[:known, :p] = weight * sums.xe[p:], weight * sums.xe[:p].T
-        _force_part(h[:known, :known], inverse, weight * sums.ee, certain)
-        side[:known, p] = (weight * sums.be + certain[:, None] * sums.log).ravel()
-        _add_marginalised(sums.marginalised, known, (h, side[:, :p], side[:, p]), (information, right))
-    h.ravel(order="K")[:: known + m + 1] *= 1.0 + _ROUNDING
-    factor, info = dpotrf(h, lower=1, overwrite_a=1)
-    if info:
-        raise np.linalg.LinAlgError("the information is not positive definite")
-    both, _ = dtrtrs(factor, side, lower=1, overwrite_b=1)
-    across, ahead = both[:, :p], both[:, p]
-    information.ravel()[:: p + 1] *= 1.0 + _ROUNDING
-    stiffness_form = InformationForm(information - across.T @ across, right - across.T @ ahead)
-    lower, info = dpotrf(stiffness_form.matrix + stiffness_prior.matrix, lower=1)
-    if info:
-        raise np.linalg.LinAlgError("the information on log k is not positive definite")
-    of_all = stiffness_form.vector + stiffness_prior.vector
-    k, _ = dpotrs(lower, of_all, lower=1)
-    rest, _ = dtrtrs(factor, ahead - across @ k, lower=1, trans=1)
-    total = weight * sums.c + float(certain @ np.sum(sums.log**2, axis=1)) - float(ahead @ ahead) - float(of_all @ k)
-    logs = 2.0 * float(np.sum(np.log(np.diag(factor)))) + 2.0 * float(np.sum(np.log(np.diag(lower)))) + log_process
-    logs += (
-        log_process
-        + 2.0 * sums.rows * np.log(hyperparameters.marker)
-        - 2.0 * float(np.sum(np.log(certain[certain > 0.0])))
-    )
-    x = np.concatenate([k, rest[known:]])
-    e = rest[:known].reshape(-1, 2)
-    return KeyFramePosterior(
-        x, e, sums.spans, process, inverse, factor, across, lower, ahead, stiffness_form, total + logs
-    )
-
-
-def _add_marginalised(
-    marginalised: Marginalised, known: int, first: tuple[Array, Array, Array], of_stiffness: tuple[Array, Array]
-) -> None:
-    """Add the marginalised frames' information on the first two e, on log k and on the other parameters."""
+def spans_of(keys: KeyFrames, marginalised: Marginalised, own: Callable[[Array], Array] = np.zeros_like) -> TimeSpans:
+    """Of the key frames, behind the one marginalised last, if any is; `own`: the load's own time at given times."""
+    spans = keys.spans(own(keys.centre))
     if not np.isfinite(marginalised.time):
-        return
-    (h, side, b), (matrix, vector), form = first, of_stiffness, marginalised.form
-    p, n = len(vector), len(form.vector) - 2
-    h[known:, known:] += form.matrix[p:n, p:n]
-    h[known:, :2] += form.matrix[p:n, n:]
-    h[:2, :2] += form.matrix[n:, n:]
-    side[known:] += form.matrix[p:n, :p]
-    side[:2] += form.matrix[n:, :p]
-    b[known:] += form.vector[p:n]
-    b[:2] += form.vector[n:]
-    matrix += form.matrix[:p, :p]
-    vector += form.vector[:p]
+        return spans
+    return spans.after(marginalised.time, float(own(np.array([marginalised.time]))[0]))
 
 
-def _inverse(c: Array) -> tuple[Array, float]:
-    factor, info = dpotrf(c, lower=1)
-    if info:
-        raise np.linalg.LinAlgError("a prior's covariance is not positive definite")
-    inverse, _ = dpotri(factor, lower=1)
-    return _symmetric(inverse), 2.0 * float(np.sum(np.log(np.diag(factor))))
+def information(keys: KeyFrames, marginalised: Marginalised, p: int, *, marker: float, white: float) -> InformationForm:
+    """Log likelihood of the key frames, with their robust weights, and of those marginalised, over the first p
+    parameters, the force errors and the other parameters; `marker`: noise of the tags, `white` N: of the log."""
+    used, n, first = keys.used, keys.rows.shape[-1] - 3, 2 * int(np.isfinite(marginalised.time))
+    weight, start, behind = keys.weight[:used], p + first, p + first + 2 * used
+    rows = (np.repeat(np.sqrt(weight), 3, axis=1) / marker)[..., None] * keys.rows[:used]
+    flat, by_force = rows.reshape(-1, n + 3), np.ascontiguousarray(rows[..., -3:-1].swapaxes(1, 2))
+    every, each = flat.T @ flat, by_force @ rows  # (n + 3, n + 3), (K, 2, n + 3)
+    size, x = n + first + 2 * used, np.append(np.arange(p), np.arange(behind, behind + n - p))
+    matrix, vector = np.zeros((size, size)), np.zeros(size)
+    matrix[np.ix_(x, x)], vector[x] = every[:-3, :-3], every[:-3, -1]
+    across, vector[start:behind] = -each[..., :-3].reshape(-1, n), -each[..., -1].ravel()
+    matrix[start:behind, x], matrix[x, start:behind] = across, across.T
+    certain = keys.rest[:used] * keys.frames[:used] / (AT_REST * white) ** 2
+    here = start + 2 * np.arange(used)
+    for c in range(2):
+        matrix[here + c, here], matrix[here + c, here + 1] = each[:, c, n], each[:, c, n + 1]
+        matrix[here + c, here + c] += certain
+        vector[here + c] += certain * keys.force[:used, c]
+    if first:
+        root, known, old = marginalised.rows[:, :-1], marginalised.rows[:, -1], np.append(x, [p, p + 1])
+        matrix[np.ix_(old, old)] += root.T @ root
+        vector[old] += root.T @ known
+    return InformationForm(matrix, vector)
 
 
-def _symmetric(lower: Array) -> Array:
-    out = lower + lower.T
-    out.ravel()[:: len(out) + 1] *= 0.5
-    return np.asarray(out)
-
-
-def _force_part(out: Array, inverse: Array, ee: Array, certain: Array) -> None:
-    """Fill the force errors' information: `C^-1` on each axis, and what each key frame says of its own."""
-    out[0::2, 0::2] = out[1::2, 1::2] = inverse
-    x = 2 * np.arange(len(inverse))
-    out[x, x] += ee[:, 0, 0] + certain
-    out[x + 1, x + 1] += ee[:, 1, 1] + certain
-    out[x + 1, x] += ee[:, 1, 0]
+def model_of(form: InformationForm, other_sd: Array, problem: FitProblem, spread: Array) -> KeyFrameModel:
+    """The model of a form as `information` gives it, with the `problem` of log k and the force's error; `other_sd`
+    (n - p,) of the others before the data, `spread` as in `Evidence`."""
+    layout = problem.layout
+    others = eliminated(form, np.zeros(len(other_sd)), BlockRoot(other_sd), layout.size)
+    evidence = Evidence(problem, JointInformation((others.left,), layout.parts), spread)
+    return KeyFrameModel(form, other_sd, others, evidence)
 
 
 # Noise of the tags, from the residuals of the key frames less what an error of each frame's force explains. Averages of

@@ -19,6 +19,8 @@ from onebend.records import Observations
 from tests.learning.bench import IDEAL
 from tests.made_up import with_source
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 SOFT = Beam(0.15, Powers((0.02, 0.03)))
 PEAK = force_that_bends(SOFT, 1.0, 1.75)
 

@@ -10,11 +10,10 @@ import pytest
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Uniform
 from onebend.errors import LearningError
-from onebend.live import learner as smoother
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.key_frames import KeyFrames
 from onebend.live.learner import OnlineLearner
-from onebend.live.posterior import KeyFramePosterior, solve
+from onebend.live.posterior import KeyFrameModel, KeyFramePosterior
 from onebend.records import Array
 from onebend.report.sentences import say
 from tests.learning.bench import MARKERS, SOFT, forces, observed
@@ -34,7 +33,8 @@ def test_a_failed_solution_is_said_as_long_as_it_lasts(monkeypatch: pytest.Monke
     def fails(*_: object) -> KeyFramePosterior:
         raise np.linalg.LinAlgError("not positive definite")
 
-    monkeypatch.setattr(smoother, "solve", fails)
+    really = KeyFrameModel.posterior
+    monkeypatch.setattr(KeyFrameModel, "posterior", fails)
     updates = shown(learner, made, range(41, 46))
     learner.settle()
     assert all(FAILED in one.doubts and one.solved for one in updates[1:])
@@ -44,7 +44,7 @@ def test_a_failed_solution_is_said_as_long_as_it_lasts(monkeypatch: pytest.Monke
     assert np.max(np.abs(mean - began) / sd) < 0.3  # the sizes in log k's prior were drawn once more
     assert FAILED in lasting.doubts
     assert not np.any(lasting.band(S).identified)
-    monkeypatch.setattr(smoother, "solve", solve)
+    monkeypatch.setattr(KeyFrameModel, "posterior", really)
     assert shown(learner, made, range(46, 47))[0].doubts == ()  # the next frame tries again
     shown(learner, made, range(47, 60))
     whole = OnlineLearner(made.length, MARKERS, 0.03, settings=FEW)

@@ -27,7 +27,7 @@ from onebend.learning.prediction import predict
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.key_frames import CourseSoFar, FrameTerms, course_of_frame, course_scale
 from onebend.live.learner import OnlineLearner
-from onebend.live.model import push_grid_at
+from onebend.live.model import pushed_at
 from onebend.live.replayed import replay, settings_for
 from onebend.records import Array, Observations
 from tests.learning.allowances.allowed_bench import PUSH_S, TAGS, course, filmed
@@ -136,12 +136,13 @@ def test_what_the_beam_remembers_is_that_of_all_frames_in_turn() -> None:
     """With a key frame for each frame, against the fit's matrices; and so is the secant stiffness of the push."""
     made, _ = soft_and_relaxing(40, (0.0, 0.0))
     made = replace(made, time=np.arange(40) / 10.0)
-    learner = replay(made, 0.03, settings=replace(FEW, key_frames=60))
+    learner = replay(made, 0.03, settings=replace(FEW, key_frames=60, adapt=False))
     learner.settle(12)
     state = learner._state
     keys, x = state.keys, state.point
-    rest = push_grid_at(learner._session, 1.0).rest_on_nodes @ learner._session.layout.get(x, "curvature")
-    nodes, weights = len(rest), push_grid_at(learner._session, 1.0).weights
+    data = pushed_at(learner._session, 1.0)
+    rest = data.rest_on_nodes @ learner._session.layout.get(x, "curvature")
+    nodes, weights = len(rest), data.problem.weights
     bent = keys.q[:40, :nodes] - rest
     every = lags(made.time) @ bent
     np.testing.assert_allclose(keys.lags[:40, :nodes], np.moveaxis(every, 0, -1), atol=2e-3 * float(np.max(every)))
@@ -163,7 +164,7 @@ def test_a_fits_stiffness_has_what_is_under_the_tags_in_it() -> None:
     made = observed(SOFT, forces(40), noise=NOISE, seed=6)
     found = fit([made], 0.03, settings=replace(IDEAL, functions=12)).stiffness
     learner = OnlineLearner(made.length, MARKERS, found, settings=FEW)
-    assert "patches" not in learner._session.carried
+    assert "patches" not in learner._session.columns
     assert "patches" not in learner.left_out
     np.testing.assert_allclose(learner.stiffness.log_at(S)[0], found.log_at(S)[0], rtol=1e-6)
 

@@ -10,29 +10,26 @@ from scipy.linalg import block_diag
 
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import LogSpline
-from onebend.learning.allowances import LIVE_ALLOWANCES
+from onebend.learning.allowances import LIVE_ALLOWANCES, Memory
+from onebend.learning.force_error import spanned_error
+from onebend.learning.hyperparameters import SPREAD
+from onebend.learning.linear import Hyperparameters, RecordingNoise
 from onebend.learning.parameters import Layout, Priors, Spline, clamp_sd
+from onebend.learning.prediction import Prediction, predict
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.key_frames import (
     KeyFrames,
     empty,
 )
-from onebend.live.model import (
-    REACHED,
-    FrameInputs,
-    Memory,
-    beam_at,
-    linearise,
-    push_grid_at,
-    session_of,
-)
+from onebend.live.model import REACHED, FrameInputs, LiveSession, frames_at, problem_of, pushed_at, session_of
 from onebend.live.posterior import (
-    LiveHyperparameters,
-    LivePrior,
-    gather,
+    KeyFramePosterior,
+    Marginalised,
+    information,
     likelihood_rows,
+    model_of,
     nothing_marginalised,
-    solve,
+    spans_of,
     with_error_change,
 )
 from onebend.live.replayed import replay
@@ -46,16 +43,10 @@ from tests.live.streamed_recording import PLAIN, tags_of
 def test_every_derivative_matches_differences(shares: tuple[float, float, float]) -> None:
     """With every allowance that the learner has. What the beam remembers stays as at the start: of a beam that relaxes
     the curvature at rest, by which it remembers, has no exact derivative."""
-    session = session_of(
-        Spline(7),
-        MARKERS,
-        Priors(clock=0.02, scale=SCALE_SD),
-        length=0.15,
-        mass=0.02,
-        allowances=LIVE_ALLOWANCES,
-    )
+    priors = Priors(clock=0.02, scale=SCALE_SD)
+    session = session_of(Spline(7), MARKERS, priors, length=0.15, mass=0.02, allowances=LIVE_ALLOWANCES)
     layout, rng = session.layout, np.random.default_rng(0)
-    nodes, relaxing = push_grid_at(session, 0.8).grid.nodes, layout.index["relaxation", -1].where
+    nodes, relaxing = pushed_at(session, 0.8).problem.grid.nodes, layout.index["relaxation", -1].where
     before = np.cos(nodes[:, None] * np.array([1.0, 2.0, 3.0])) * np.array([[[0.7]], [[-0.4]]])
     force = np.array([[0.02, 0.2], [-0.1, 0.3]])
     inputs = FrameInputs(
@@ -66,26 +57,28 @@ def test_every_derivative_matches_differences(shares: tuple[float, float, float]
         rng.uniform(0.2, 0.8, (2, session.terms.count)),
         Memory(before, np.tile([0.3, 0.2, 0.1], (2, 1)), REACHED),
     )
+
+    def at(x: Array, start: Array | None, inputs: FrameInputs = inputs) -> Prediction:
+        return predict(frames_at(session, 0.8, inputs), layout, x, start)
+
     x = 1e-3 * np.sin(np.arange(layout.size))
     x[:7] = np.log(0.03) + 0.3 * np.cos(np.arange(7))
     x[relaxing] = shares
-    exact, h = linearise(session, beam_at(session, 0.8, x), inputs, None), 1e-5
+    exact, h = at(x, None), 1e-5
     for _ in range(8):
-        begin = exact.q
-        exact = linearise(session, beam_at(session, 0.8, x), inputs, begin)
-    assert session.carried >= LIVE_ALLOWANCES
-    at_rest = layout.index["curvature", -1].where if any(shares) else slice(0, 0)
+        begin = exact.solved.q
+        exact = at(x, begin)
+    assert session.columns.keys() >= LIVE_ALLOWANCES
+    slopes, at_rest = exact.slopes, layout.index["curvature", -1].where if any(shares) else slice(0, 0)
     for i in set(range(layout.size)) - set(range(layout.size)[at_rest]):
-        step = h * np.eye(layout.size)[i]
-        moved = [beam_at(session, 0.8, x + sign * step) for sign in (1.0, -1.0)]
-        ends = [linearise(session, beam, inputs, begin).pose for beam in moved]
+        ends = [at(x + sign * h * np.eye(layout.size)[i], begin).pose for sign in (1.0, -1.0)]
         difference = (ends[0] - ends[1]) / (2.0 * h)
-        np.testing.assert_allclose(exact.j[..., i], difference, atol=2e-6 * max(1.0, float(np.max(abs(difference)))))
+        np.testing.assert_allclose(slopes.j[..., i], difference, atol=2e-6 * max(1.0, float(np.max(abs(difference)))))
     for c in range(2):
-        pushes = [force + sign * h * np.eye(2)[c] for sign in (1.0, -1.0)]
-        there = [linearise(session, beam_at(session, 0.8, x), replace(inputs, force=f), begin) for f in pushes]
-        np.testing.assert_allclose(exact.a[..., c], (there[0].pose - there[1].pose) / (2.0 * h), atol=1e-6)
-        np.testing.assert_allclose(exact.by_force[..., c], (there[0].q - there[1].q) / (2.0 * h), atol=1e-4)
+        pushes = [replace(inputs, force=force + sign * h * np.eye(2)[c]) for sign in (1.0, -1.0)]
+        ends = [at(x, begin, push).pose for push in pushes]
+        by_force = (slopes.a @ slopes.axes)[..., c]
+        np.testing.assert_allclose(by_force, (ends[0] - ends[1]) / (2.0 * h), atol=1e-6)
 
 
 def test_covariance_of_averages_is_that_of_fine_samples() -> None:
@@ -173,47 +166,58 @@ def linear_frames(seed: int, layout: Layout, count: int) -> KeyFrames:
     return keys
 
 
+def solved(session: LiveSession, keys: KeyFrames, marginalised: Marginalised, process: ForceNoise) -> KeyFramePosterior:
+    """The posterior over these key frames, the tags' noise 1.3 times their covariances."""
+    spline, noise = session.layout.spline, RecordingNoise(1.3, process.white)
+    h = Hyperparameters(spline.variances(2.0, 0.2), 1.0, 1.0, 1.0, 1.0, (noise,))
+    problem = problem_of(session, spanned_error(process, spans_of(keys, marginalised)), (0.3, None), h)
+    form = information(keys, marginalised, spline.count, marker=1.3, white=process.white)
+    return model_of(form, session.other_sd(1.0, 1.0), problem, SPREAD).posterior(h)
+
+
 def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_nothing() -> None:
     """Against generalised least squares with the force errors integrated out, to 1e-8."""
-    layout = session_of(
-        Spline(6),
-        np.array([0.5, 1.0]),
-        Priors(placement=0.1, origin=0.1, curvature=0.0),
-        length=0.15,
-        mass=0.0,
-    ).layout
-    keys, prior = linear_frames(1, layout, 7), LivePrior(layout, np.where(np.arange(layout.size) < 6, 0.3, 0.0), None)
-    hyperparameters, process = (
-        LiveHyperparameters(1.3, 0.02, 0.03, 0.3, 0.02, 0.0),
-        ForceNoise(level=0.05, walk=0.02, coloured=0.03, tau=0.3, white=0.02),
-    )
-    stiffness_prior = prior.stiffness_prior(layout.spline.variances(2.0, 0.2))
-    never = nothing_marginalised(layout.size)
-    solution = solve(gather(keys, never), prior, stiffness_prior, hyperparameters, process)
+    priors = Priors(placement=0.1, origin=0.1, curvature=0.0)
+    session = session_of(Spline(6), np.array([0.5, 1.0]), priors, length=0.15, mass=0.0)
+    layout, never = session.layout, nothing_marginalised(session.layout.size)
+    keys, n = linear_frames(1, layout, 7), layout.size
+    process = ForceNoise(level=0.05, walk=0.02, coloured=0.03, tau=0.3, white=0.02, load=0.0)
+    solution = solved(session, keys, never, process)
     c = covariance(process, keys.spans(np.zeros(7)))
     root = np.repeat(np.sqrt(keys.weight[:7]), 3, axis=1)[..., None] / 1.3
     j, z = (root * keys.rows_j[:7]).reshape(42, -1), (root[..., 0] * keys.rows_z[:7]).ravel()
     a = np.zeros((7, 6, 7, 2))
     for i in range(7):
         a[i, :, i] = -(root * keys.rows_a[:7])[i]
-    rows = np.concatenate([np.hstack([j, a.reshape(42, 14)]), np.eye(2, layout.size + 14, layout.size) / (0.05 * 0.02)])
+    rows = np.concatenate([np.hstack([j, a.reshape(42, 14)]), np.eye(2, n + 14, n) / (0.05 * 0.02)])
     right = np.concatenate([z, keys.force[0] / (0.05 * 0.02)])
-    precision = np.zeros((layout.size + 14,) * 2)
-    precision[: layout.size, : layout.size] = block_diag(stiffness_prior.matrix, np.diag(prior.nuisance_precision))
-    precision[layout.size :, layout.size :] = np.kron(np.linalg.inv(c), np.eye(2))
+    precision = np.zeros((n + 14,) * 2)
+    of_log_k, sd = layout.spline.precision(2.0, 0.2), session.other_sd(1.0, 1.0)
+    precision[:n, :n] = block_diag(of_log_k, np.diag(1.0 / sd**2))
+    precision[n:, n:] = np.kron(np.linalg.inv(c), np.eye(2))
     dense = np.linalg.inv(rows.T @ rows + precision)
-    best = dense @ (rows.T @ right + precision[:, : layout.size] @ prior.mean)
-    np.testing.assert_allclose(solution.x, best[: layout.size], rtol=1e-7, atol=1e-7)
-    np.testing.assert_allclose(solution.e.ravel(), best[layout.size :], rtol=1e-7, atol=1e-8)
-    np.testing.assert_allclose(solution.covariance(), dense[: layout.size, : layout.size], rtol=1e-6, atol=1e-10)
+    best = dense @ (rows.T @ right + precision[:, :6] @ np.full(6, 0.3))
+    np.testing.assert_allclose(solution.x, best[:n], rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(solution.e.ravel(), best[n:], rtol=1e-7, atol=1e-8)
+    found = solution.covariance(solution.solved.pair(0)[:6, :6])
+    np.testing.assert_allclose(found, dense[:n, :n], rtol=1e-6, atol=1e-10)
+    order = np.concatenate([np.arange(6), np.arange(n, n + 14), np.arange(6, n)])  # log k, errors, others
+    some = np.random.default_rng(0).normal(size=(4, n + 14))
+    np.testing.assert_allclose(solution.spread(some), some @ dense[np.ix_(order, order)] @ some.T, rtol=1e-6)
+    told = n - np.sum(dense[:n, :n] * precision[:n, :n])
+    assert solution.effective_parameters == pytest.approx(told, rel=1e-6)
+    away = 0.1 * np.random.default_rng(1).normal(size=n + 14)
+    there = solution.distance(solution.e - away[n:].reshape(-1, 2), away[:n])
+    assert there == pytest.approx(float(np.sqrt(away @ np.linalg.solve(dense, away))), rel=1e-6)
     # Where the force error is one level, a folded frame says what it said.
-    level = ForceNoise(level=0.05, walk=0.0, coloured=1e-9, tau=0.3, white=1e-4)
-    whole = solve(gather(keys, never), prior, stiffness_prior, hyperparameters, level)
+    level = ForceNoise(level=0.05, walk=0.0, coloured=1e-9, tau=0.3, white=1e-4, load=0.0)
+    whole = solved(session, keys, never, level)
     never.add(likelihood_rows(keys, 0, 1.3, 1e-4), float(keys.end[0]), slow=0.0, fast=fast_variance(level, 0.0, 1.0))
     keys.drop(0)
-    folded = solve(gather(keys, never), prior, stiffness_prior, hyperparameters, level)
+    folded = solved(session, keys, never, level)
     np.testing.assert_allclose(folded.x, whole.x, rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(folded.covariance(), whole.covariance(), rtol=1e-4, atol=1e-8)
+    both = [one.covariance(one.solved.pair(0)[:6, :6]) for one in (folded, whole)]
+    np.testing.assert_allclose(both[0], both[1], rtol=1e-4, atol=1e-8)
 
 
 def test_folding_over_and_over_leaves_what_exact_frames_say() -> None:

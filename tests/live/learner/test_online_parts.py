@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from onebend.learning.normal import Draws, InformationForm, stiffness_mixture
+from onebend.learning.normal import Draws, InformationForm, drawn_chains, target_of
 from onebend.learning.parameters import Spline
 from onebend.live import learner as smoother
 from onebend.live.hyperparameters import OnlineSettings, StiffnessChains
 from onebend.live.key_frames import LoadStages
 from onebend.live.learner import OnlineLearner
 from onebend.live.model import Lineariser
-from onebend.live.posterior import KeyFramePosterior, KeyFrameSums, LiveHyperparameters, LivePrior, solve
+from onebend.live.posterior import KeyFrameModel, model_of
 from onebend.recording.force_noise import ANEW, RELEASED, load_changes, own_time
-from onebend.records import Array, ForceNoise
+from onebend.records import Array
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 from tests.live.streamed_recording import NOISE, S, shown
 
@@ -44,39 +46,19 @@ def test_what_a_load_did_long_ago_is_kept() -> None:
     assert stages.own(np.array([400 / 30.0]))[0] == pytest.approx(20 * ANEW * 2 + 20 * RELEASED, rel=0.05)
 
 
-def test_sizes_drawn_on_the_way_give_the_fits_log_k() -> None:
-    """Against `stiffness_mixture`, whose chains are many."""
+def test_sizes_drawn_on_the_way_are_those_that_the_fit_draws() -> None:
+    """The geometric means of the last draws, against those of many chains."""
     spline, rng = Spline(10), np.random.default_rng(3)
     truth = np.where(np.arange(10) < 5, 0.0, 0.4)
     rows = 15.0 * rng.normal(size=(12, 10))
     form = InformationForm(rows.T @ rows, rows.T @ (rows @ truth + rng.normal(size=12)))
-    chains = StiffnessChains(spline, 0.0, 3.0, 0.1)
-    for _ in range(200):
+    chains, parts = StiffnessChains(spline, 0.0, 3.0, 0.1), []
+    for i in range(400):
         chains.step(form)
-    means, sds = [], []
-    for _ in range(20):
-        for _ in range(5):
-            chains.step(form)
-        mean, covariance, _ = chains.mixed(form)
-        means.append(mean)
-        sds.append(np.sqrt(np.diag(covariance)))
-    batch = stiffness_mixture(spline, [form], 0.0, Draws(30, 60, 300))
-    sd = np.sqrt(np.diag(batch.covariance))
-    np.testing.assert_allclose(np.mean(means, axis=0), batch.mean, atol=0.2 * float(np.max(sd)))
-    np.testing.assert_allclose(np.mean(sds, axis=0), sd, rtol=0.2)
-
-
-@pytest.mark.parametrize("rows", [0, 3, 20])
-def test_the_directions_that_are_told_of_are_all_that_is_told(rows: int) -> None:
-    """As many rows as the information has directions give it back, and its right side."""
-    spline, rng = Spline(10), np.random.default_rng(rows)
-    seen, level = 5.0 * rng.normal(size=(rows, 10)), -3.0
-    form = InformationForm(seen.T @ seen, seen.T @ rng.normal(size=rows))
-    on_log_k, values = StiffnessChains(spline, level, 3.0, 0.1)._rows(form)
-    assert len(values) == min(max(rows, 1), 10)
-    np.testing.assert_allclose(on_log_k.T @ on_log_k, form.matrix, atol=1e-9)
-    right = form.vector - form.matrix @ np.full(10, level)
-    np.testing.assert_allclose(on_log_k.T @ values, right, atol=1e-8)
+        parts += [np.log(chains.parts)] if i >= 50 else []
+    draws = list(drawn_chains(target_of(spline, [form], 0.0, 30), Draws(30, 60, 300), None))
+    means = np.mean([np.log(one.variance).mean(axis=0) for one in draws], axis=0)
+    np.testing.assert_allclose(np.mean(parts, axis=0), means, atol=0.6)
 
 
 def test_reading_changes_nothing() -> None:
@@ -94,23 +76,17 @@ def test_reading_changes_nothing() -> None:
 def test_no_frame_costs_much_more_than_others(monkeypatch: pytest.MonkeyPatch) -> None:
     """At most one solution a frame; none where many key frames are linearised, and those are never more than ten."""
     counts = {"solved": 0, "linearised": 0}
-    renew = Lineariser.renew
+    renew, model = Lineariser.renew, model_of
 
-    def solved(
-        sums: KeyFrameSums,
-        prior: LivePrior,
-        stiffness_prior: InformationForm,
-        hyperparameters: LiveHyperparameters,
-        process: ForceNoise,
-    ) -> KeyFramePosterior:
+    def made_of(*given: Any) -> KeyFrameModel:
         counts["solved"] += 1
-        return solve(sums, prior, stiffness_prior, hyperparameters, process)
+        return model(*given)
 
     def renewed(self: Lineariser, keys: object, chosen: list[int], point: Array) -> set[int]:
         counts["linearised"] = len(chosen)
         return renew(self, keys, chosen, point)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(smoother, "solve", solved)
+    monkeypatch.setattr(smoother, "model_of", made_of)
     monkeypatch.setattr(Lineariser, "renew", renewed)
     made = observed(SOFT, forces(100), noise=NOISE, seed=2)
     learner = OnlineLearner(made.length, MARKERS, 0.06, settings=OnlineSettings(functions=8))

@@ -11,23 +11,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.beam.problem import Resolution
 from onebend.learning import static_poses
-from onebend.learning.allowances import TIMES, lags, reached_part
+from onebend.learning.allowances import TIMES, Memory, lags, reached_part
 from onebend.learning.fit_data import fit_data
-from onebend.learning.parameters import Layout, Priors, Spline, make_layout
+from onebend.learning.parameters import Block, Layout, Priors, Spline, make_layout
 from onebend.learning.prediction import Prediction, predict
-from onebend.live.model import (
-    ORDER,
-    WIDEST,
-    FrameInputs,
-    LinearisedTags,
-    Memory,
-    beam_at,
-    linearise,
-    push_grid_at,
-    session_of,
-)
+from onebend.live.model import RESOLUTION, FrameInputs, frames_at, pushed_at, session_of
 from onebend.records import Array, View
 from tests.learning.bench import SOFT, forces, observed
 
@@ -95,49 +84,49 @@ class Point:
         sizes = {"stiffness": 0.3, "curvature": 0.1, "mass": 0.1, "across": 1e-3, "turn": 0.02, "section": 0.3}
         sizes |= {"patches": 0.3, "clamp gives": 0.02, "relaxation": 0.0}  # the fit's shapes also know what was before
         self.values = {
-            name: sizes.get(name, 5e-3) * rng.standard_normal(len(self.session_layout.index[name, -1].labels))
+            name: sizes.get(name, 5e-3) * rng.standard_normal(len(_block(self.session_layout, name).labels))
             for name in BLOCKS
         }
         self.values["stiffness"] += np.log(0.03)
         bases = {a.name: a.basis for a in data.allowances}
         self.terms = np.concatenate([bases[a.name].reshape(8, -1) for a in self.session.terms.allowances], axis=1)
 
-    def at(self, where: Layout, recording: int, **changed: Array) -> Array:
+    def at(self, where: Layout, **changed: Array) -> Array:
         """(n,) parameters of one of the layouts."""
         x = np.zeros(where.size)
         for name, value in (self.values | changed).items():
-            x[_block(where, name, recording)] = value
+            x[_block(where, name).where] = value
         return x
 
     def fit(self, **changed: Array) -> Prediction:
-        return predict(self.fit_data, self.fit_layout, self.at(self.fit_layout, 0, **changed), None)
+        return predict(self.fit_data, self.fit_layout, self.at(self.fit_layout, **changed), None)
 
-    def live(self, **changed: Array) -> LinearisedTags:
+    def live(self, **changed: Array) -> Prediction:
         """From the fit's shapes at the point itself, with what it remembers there."""
-        data, x = self.fit_data, self.at(self.session_layout, -1, **changed)
+        data, x = self.fit_data, self.at(self.session_layout, **changed)
         shapes = self.fit().solved.q
         bent = shapes - data.rest_on_nodes @ self.values["curvature"]
         lagging = np.moveaxis(lags(data.observations.time) @ bent, 0, -1)
         reached = np.array([reached_part(lagging[..., j], bent, data.problem.weights) for j in range(len(TIMES))])
         memory = Memory(lagging, np.zeros((8, len(TIMES))), reached)
         inputs = FrameInputs(data.force, data.rate, data.observations.gravity, np.zeros(8), self.terms, memory)
-        return linearise(self.session, beam_at(self.session, PUSH_S, x), inputs, shapes)
+        return predict(frames_at(self.session, PUSH_S, inputs), self.session_layout, x, shapes)
 
 
-def _block(where: Layout, name: str, recording: int) -> slice:
-    return (where.index.get((name, -1)) or where.index[name, recording]).where
+def _block(where: Layout, name: str) -> Block:
+    return where.index.get((name, -1)) or where.index[name, 0]
 
 
 @pytest.fixture(scope="module")
 def point() -> Iterator[Point]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(static_poses, "RESOLUTION", Resolution(ORDER, WIDEST))
+        patch.setattr(static_poses, "RESOLUTION", RESOLUTION)
         yield Point()
 
 
 def test_the_grids_are_the_same(point: Point) -> None:
     np.testing.assert_allclose(
-        point.fit_data.problem.grid.nodes, push_grid_at(point.session, PUSH_S).grid.nodes, atol=1e-14
+        point.fit_data.problem.grid.nodes, pushed_at(point.session, PUSH_S).problem.grid.nodes, atol=1e-14
     )
 
 
@@ -145,19 +134,19 @@ def test_fit_and_live_learner_have_the_same_jacobian(point: Point) -> None:
     fit, live = point.fit(), point.live()
     np.testing.assert_allclose(live.pose, fit.pose, atol=1e-12)
     for name in BLOCKS:
-        ours = fit.slopes.written[..., _block(point.fit_layout, name, 0)]
-        theirs = live.j[..., _block(point.session_layout, name, -1)]
+        ours = fit.slopes.written[..., _block(point.fit_layout, name).where]
+        theirs = live.slopes.j[..., _block(point.session_layout, name).where]
         size = np.max(np.abs(ours), axis=(0, 1, 2))
         assert np.all(size > 0.0), name
         np.testing.assert_array_less(np.max(np.abs(theirs - ours), axis=(0, 1, 2)), 1e-8 * size, err_msg=name)
     by_force = fit.slopes.a @ fit.slopes.axes
-    np.testing.assert_allclose(live.a, by_force, atol=1e-8 * np.max(np.abs(by_force)))
+    np.testing.assert_allclose(live.slopes.a @ live.slopes.axes, by_force, atol=1e-8 * np.max(np.abs(by_force)))
 
 
 @pytest.mark.parametrize("name", BLOCKS)
 def test_both_jacobians_are_those_of_central_differences(point: Point, name: str) -> None:
-    fit = point.fit().slopes.written[..., _block(point.fit_layout, name, 0)]
-    live = point.live().j[..., _block(point.session_layout, name, -1)]
+    fit = point.fit().slopes.written[..., _block(point.fit_layout, name).where]
+    live = point.live().slopes.j[..., _block(point.session_layout, name).where]
     h = 1e-5
     for i, value in enumerate(np.eye(fit.shape[-1])):
         ends = [{name: point.values[name] + sign * h * value} for sign in (1.0, -1.0)]
