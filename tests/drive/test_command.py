@@ -83,7 +83,7 @@ def test_what_cannot_be_is_refused(words: tuple[str, ...], says: str, bench: Pat
     ("sensor", "spec", "white"),
     [
         ("", "virtual:linear", 0.005),
-        ("franka-estimate", "virtual:linear", 0.035),
+        ("franka-estimate", "virtual:linear", 0.014),
         ("", "virtual:linear,white_N=1", 1.0),
     ],
 )

@@ -17,18 +17,18 @@ from onebend.drive.ros2 import RosCamera, RosForce, RosNetwork, RosRobot, RosTop
 from onebend.drive.virtual import VirtualRobot, VirtualSetup
 from onebend.errors import RecordingError
 from onebend.lab.designs import DESIGNS, find_design
-from onebend.lab.random_bench import FilmRequest, design_with_effects, filming_of
+from onebend.lab.random_bench import SENSORS, FilmRequest, design_with_effects, filming_of
 from onebend.lab.virtual import VirtualBench, VirtualTag
 from onebend.live.sources import CameraSource, ForceSource
 from onebend.live.specs import CAMERAS, FORCES, Options, SourceKind, made, number
 from onebend.recording.entries import Recording
-from onebend.recording.force_log import SENSOR_NOISE
 from onebend.results.model import FILE_NAME, read_model
 
 MakeRobot = Callable[[Recording, DriveSettings], Robot]
 _ROS = ("qos", "depth")
 _ROS_ROBOT = ("pose_in", "pose_out", "wrench_in", "wrench_out", "wrench_axes", "frame")
 MOST_DOMAIN = 232  # of DDS
+_WHITE = {name: sensor.white_sd for sensor, name in SENSORS.values() if name}  # N, as the lab has them
 
 
 def robot_of(spec: str) -> MakeRobot:
@@ -96,7 +96,7 @@ def _virtual(place: str, options: Options) -> MakeRobot:
         tags = tuple(VirtualTag(tag.id, tag.s) for tag in rec.tags.on_beam)
         here, holds = replace(bench, tags=tags), settings.hand == "hold"
         assert rec.force is not None  # of a plan
-        known = (asked, rec.force.white_sd, SENSOR_NOISE.get(rec.force.sensor, VirtualSetup.white))
+        known = (asked, rec.force.white_sd, _WHITE.get(rec.force.sensor, VirtualSetup.white))
         white = next(one for one in known if math.isfinite(one))  # so that the log is that of the stated sensor
         return VirtualRobot(VirtualSetup(here, rec, holds=holds, lag=lag, white=white, fps=fps, delay=delay, seed=seed))
 
