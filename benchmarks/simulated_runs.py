@@ -11,6 +11,7 @@ from math import nan
 
 import numpy as np
 
+from benchmarks.processes import in_processes
 from onebend.beam.stiffness import half_width
 from onebend.errors import LearningError, MechanicsError, ObservationError
 from onebend.lab import forecast
@@ -27,7 +28,7 @@ from onebend.learning.design import PLACES
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
 from onebend.learning.start import start_of
-from onebend.progress import in_processes, one_blas_thread
+from onebend.progress import one_blas_thread
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, Observations
 from tests.lab.from_truth import observe_from_truth
 

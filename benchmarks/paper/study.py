@@ -15,6 +15,7 @@ from typing import Literal
 
 import numpy as np
 
+from benchmarks.processes import in_processes
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.control.reach import Reach, ReachSettings, reach
@@ -39,7 +40,6 @@ from onebend.progress import (
     Result,
     Silent,
     available_cores,
-    in_processes,
     one_blas_thread,
     track,
 )

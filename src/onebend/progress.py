@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache, wraps
 from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
@@ -78,25 +78,6 @@ def each(work: Callable[..., Result], *arguments: Iterable[object]) -> tuple[Res
 
     with ThreadPoolExecutor(cores) as pool:
         return tuple(pool.map(lambda row: work(*row), rows))
-
-
-def in_processes(work: Callable[[Item], Result], items: Sequence[Item], count: int) -> Iterator[Result]:
-    """`work` of each item as it is done, in up to `count` processes; a failure or an early end ends them all."""
-    if min(count, len(items)) <= 1:
-        yield from map(work, items)
-        return
-    from concurrent.futures import ProcessPoolExecutor, as_completed
-    from multiprocessing import get_context
-
-    with interrupts_held():
-        pool = ProcessPoolExecutor(
-            min(count, len(items)), mp_context=get_context("spawn"), initializer=leave_interrupts_to_parent
-        )
-        waiting = [pool.submit(work, item) for item in items]
-    try:
-        yield from (future.result() for future in as_completed(waiting))
-    finally:
-        end_now(pool)
 
 
 @contextmanager

@@ -48,10 +48,10 @@ from benchmarks.paper.study import (
     seen_through,
     sensor_of,
 )
+from benchmarks.processes import in_processes
 from onebend.errors import RecordingError, ResultsError
 from onebend.lab.designs import DESIGNS
 from onebend.learning.paper import information_criterion
-from onebend.progress import in_processes
 from onebend.records import Observations
 from onebend.results.model import read_model
 from onebend.results.observations_file import load_observations, save_observations
