@@ -36,7 +36,7 @@ export class Form {
     const flag = (name: Flag): HTMLElement => h("label", { class: "check" }, this.flags[name], FLAGS[name]);
     this.element = h("form", { submit: (event: Event) => { event.preventDefault(); start(this.wanted()); } },
       h("h2", {}, "Record a push"),
-      h("label", { class: "wide" }, h("span", {}, "into"), this.out), h("label", { class: "wide" }, h("span", {}, "copy recording.toml of"), this.like),
+      h("label", { class: "wide" }, h("span", {}, "into"), this.out), h("label", { class: "wide" }, h("span", {}, "same beam as"), this.like),
       this.camera.element, this.force.element,
       h("label", { class: "wide" }, h("span", {}, "until ± %"), this.until), flag("fast"),
       h("details", { open: FLAG_NAMES.some((name) => name !== "fast" && this.flags[name].checked) }, h("summary", {}, "more"), flag("now"), flag("no_learning"), flag("overwrite"),
