@@ -90,6 +90,16 @@ def test_a_recording_is_mended_while_it_is_checked_and_saved(page: Page, own_fol
     wrong.locator("button").click()
     picked = page.evaluate("(one => one.value.slice(one.selectionStart, one.selectionEnd))(document.activeElement)")
     assert "lenght_m" in picked
+    entries = before.split("\n[")
+    last = max(i for i, entry in enumerate(entries) if entry.startswith("[tags.on_beam]]"))
+    area.fill("\n[".join(entries[:last] + entries[last + 1 :]))
+    page.locator(".first figcaption", has_text="Not in recording.toml: 3.").wait_for()
+    page.get_by_role("button", name="Use these tags").click()
+    assert area.input_value().count("id = 3\ns = #") == 1
+    page.locator(".mistakes li", has_text="s is empty").wait_for()
+    assert not page.get_by_role("button", name="Use these tags").is_visible()
+    area.fill(before.replace("length_m", "lenght_m"))
+    wrong.wait_for()
     page.reload()  # what was typed is still there, and not on disk
     wrong.wait_for()
     assert path.read_text(encoding="utf-8") == before

@@ -15,9 +15,11 @@ export class FirstFrame {
   private frame: Frame | null = null;
   private tags: Tag[] = [];
   private asked = 0;
+  private strange: number[] = [];
+  private readonly use = h("button", { type: "button", hidden: true, click: () => this.wanted(this.strange) }, "Use these tags");
 
-  constructor() {
-    this.element = h("figure", { class: "first" }, this.node, this.words);
+  constructor(private readonly wanted: (ids: number[]) => void) {
+    this.element = h("figure", { class: "first" }, this.node, this.words, this.use);
     this.canvas = new Canvas(this.node, this.paint);
     this.picture.addEventListener("load", this.canvas.redraw);
     this.clear();
@@ -30,7 +32,7 @@ export class FirstFrame {
   clear(): void {
     this.asked += 1;
     this.frame = null;
-    this.node.hidden = true;
+    this.node.hidden = this.use.hidden = true;
     this.words.textContent = "";
   }
 
@@ -65,12 +67,13 @@ export class FirstFrame {
   private say(): void {
     if (!this.frame) return;
     const seen = this.frame.tags.map((one) => one.id), named = this.tags.map((one) => one.id), ids = (list: number[]): string => [...new Set(list)].sort((a, b) => a - b).join(", ");
-    const missing = named.filter((id) => !seen.includes(id)), strange = seen.filter((id) => !named.includes(id));
+    const missing = named.filter((id) => !seen.includes(id)), strange = this.strange = [...new Set(seen.filter((id) => !named.includes(id)))].sort((a, b) => a - b);
     const parts = [seen.length ? `Tags in the first frame: ${ids(seen)}.` : "No tag in the first frame."];
     if (missing.length) parts.push(`Not found: ${ids(missing)}.`);
     if (strange.length) parts.push(`Not in recording.toml: ${ids(strange)}.`);
     this.words.textContent = parts.join(" ");
     this.words.classList.toggle("warning", missing.length > 0);
+    this.use.hidden = !strange.length;
     this.canvas.redraw();
   }
 

@@ -26,7 +26,7 @@ export function recordings(place: HTMLElement, at: URLSearchParams): void {
     h("details", {}, h("summary", {}, "the file as it is now"), theirs),
     h("p", { class: "links" }, h("button", { type: "button", click: () => take(disk, seen) }, "take the file's text"),
       h("button", { type: "button", click: () => { void save(seen); } }, "put mine in its place")));
-  const editor = new Editor(edited), frame = new FirstFrame(), command = commandLine(), checking = new Checking(command.element);
+  const editor = new Editor(edited), frame = new FirstFrame((ids) => use(ids)), command = commandLine(), checking = new Checking(command.element);
   const desk = h("section", { class: "desk", hidden: true }, h("div", { class: "toolbar" }, title, state, back, keep), conflict,
     h("div", { class: "pair" }, editor.element, told, frame.element), checking.element);
   const nothing = h("p", { class: "empty quiet" }, "Choose a recording.");
@@ -197,6 +197,14 @@ export function recordings(place: HTMLElement, at: URLSearchParams): void {
       film = wanted;
       void frame.load(name, found.file, found.topic, found.family);
     } else if (!found.file && !found.mistakes.length) frame.none();
+  }
+
+  // Tags that the film shows and recording.toml lacks are written below, for their places to be filled in.
+  function use(ids: number[]): void {
+    const before = editor.text.replace(/\n*$/, "\n");
+    editor.text = before + ids.map((id) => `\n[[tags.on_beam]]\nid = ${id}\ns = # place of its middle: 0 at the clamp, 1 at the tip\n`).join("");
+    edited();
+    editor.go(before.split("\n").length + 3);
   }
 
   function keepDraft(): void {

@@ -2,6 +2,7 @@ import { digits, h } from "./dom.js";
 import { Canvas, trace } from "./draw.js";
 import { post } from "./net.js";
 export class FirstFrame {
+    wanted;
     element;
     node = h("canvas", { role: "img", "aria-label": "the film's first frame with the tags that were found" });
     words = h("figcaption", {});
@@ -10,8 +11,11 @@ export class FirstFrame {
     frame = null;
     tags = [];
     asked = 0;
-    constructor() {
-        this.element = h("figure", { class: "first" }, this.node, this.words);
+    strange = [];
+    use = h("button", { type: "button", hidden: true, click: () => this.wanted(this.strange) }, "Use these tags");
+    constructor(wanted) {
+        this.wanted = wanted;
+        this.element = h("figure", { class: "first" }, this.node, this.words, this.use);
         this.canvas = new Canvas(this.node, this.paint);
         this.picture.addEventListener("load", this.canvas.redraw);
         this.clear();
@@ -22,7 +26,7 @@ export class FirstFrame {
     clear() {
         this.asked += 1;
         this.frame = null;
-        this.node.hidden = true;
+        this.node.hidden = this.use.hidden = true;
         this.words.textContent = "";
     }
     none() {
@@ -57,7 +61,7 @@ export class FirstFrame {
         if (!this.frame)
             return;
         const seen = this.frame.tags.map((one) => one.id), named = this.tags.map((one) => one.id), ids = (list) => [...new Set(list)].sort((a, b) => a - b).join(", ");
-        const missing = named.filter((id) => !seen.includes(id)), strange = seen.filter((id) => !named.includes(id));
+        const missing = named.filter((id) => !seen.includes(id)), strange = this.strange = [...new Set(seen.filter((id) => !named.includes(id)))].sort((a, b) => a - b);
         const parts = [seen.length ? `Tags in the first frame: ${ids(seen)}.` : "No tag in the first frame."];
         if (missing.length)
             parts.push(`Not found: ${ids(missing)}.`);
@@ -65,6 +69,7 @@ export class FirstFrame {
             parts.push(`Not in recording.toml: ${ids(strange)}.`);
         this.words.textContent = parts.join(" ");
         this.words.classList.toggle("warning", missing.length > 0);
+        this.use.hidden = !strange.length;
         this.canvas.redraw();
     }
     paint = ({ context, width }, tint) => {

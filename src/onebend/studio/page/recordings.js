@@ -11,7 +11,7 @@ export function recordings(place, at) {
     const keep = h("button", { type: "button", class: "main", disabled: true, "aria-keyshortcuts": "Control+S", click: () => { void save(version); } }, "Save");
     const back = h("button", { type: "button", hidden: true, click: () => take(disk, version) }, "back to the file");
     const theirs = h("pre"), conflict = h("section", { class: "conflict", role: "alert", hidden: true }, h("p", {}, h("b", {}, "recording.toml changed on disk"), " since it was opened here. Nothing was overwritten."), h("details", {}, h("summary", {}, "the file as it is now"), theirs), h("p", { class: "links" }, h("button", { type: "button", click: () => take(disk, seen) }, "take the file's text"), h("button", { type: "button", click: () => { void save(seen); } }, "put mine in its place")));
-    const editor = new Editor(edited), frame = new FirstFrame(), command = commandLine(), checking = new Checking(command.element);
+    const editor = new Editor(edited), frame = new FirstFrame((ids) => use(ids)), command = commandLine(), checking = new Checking(command.element);
     const desk = h("section", { class: "desk", hidden: true }, h("div", { class: "toolbar" }, title, state, back, keep), conflict, h("div", { class: "pair" }, editor.element, told, frame.element), checking.element);
     const nothing = h("p", { class: "empty quiet" }, "Choose a recording.");
     let name = at.get("name") ?? "", disk = "", version = "", seen = "", number = 0, waiting = 0, film = "", gone = false, unchecked = "";
@@ -186,6 +186,12 @@ export function recordings(place, at) {
         }
         else if (!found.file && !found.mistakes.length)
             frame.none();
+    }
+    function use(ids) {
+        const before = editor.text.replace(/\n*$/, "\n");
+        editor.text = before + ids.map((id) => `\n[[tags.on_beam]]\nid = ${id}\ns = # place of its middle: 0 at the clamp, 1 at the tip\n`).join("");
+        edited();
+        editor.go(before.split("\n").length + 3);
     }
     function keepDraft() {
         sessionStorage.setItem(`draft:${title.textContent}`, JSON.stringify({ text: editor.text, version }));
