@@ -1,4 +1,4 @@
-from .allowances import Allowance as Allowance
+from .allowances import Allowance as Allowance, MaterialMemory as MaterialMemory
 from .attribution import Attribution as Attribution, Contradiction as Contradiction
 from .criticism import Criticism as Criticism, Finding as Finding, Score as Score, Suspect as Suspect
 from .design import (

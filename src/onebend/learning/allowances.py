@@ -682,7 +682,7 @@ def shift_of_lags(shares: Array, every: Array, q: Array, reached: Array) -> tupl
 
 
 @dataclass(frozen=True)
-class Memory:
+class MaterialMemory:
     """What a beam remembers in F frames of others before them: the curvatures that lag behind are `before + now q`, q
     being the curvature over that at rest; for each of the n `TIMES`."""
 

@@ -18,7 +18,7 @@ from onebend.learning.allowances import (
     Allowance,
     Entry,
     Film,
-    Memory,
+    MaterialMemory,
     allowances_of,
     course_of,
     inertial_force,
@@ -214,7 +214,7 @@ class FitData:
     offset: Array  # (Q,) or (F, Q): what is known of log k there, but for its level
     rest_on_nodes: Array  # (Q, 3) or (F, Q, 3)
     allowances: tuple[Allowance, ...] = ()
-    memory: Memory | None = None  # of a beam that relaxes, where earlier frames are not among these
+    memory: MaterialMemory | None = None  # of a beam that relaxes, where earlier frames are not among these
 
     @property
     def resting(self) -> BoolArray:

@@ -29,7 +29,7 @@ from onebend.learning.allowances import (
     SLIDE_SD,
     Allowance,
     Entry,
-    Memory,
+    MaterialMemory,
     lags,
     memory,
     reached_part,
@@ -620,7 +620,7 @@ def predict(
     return Prediction(data, layout, x, solved, s, ride, pose + allowed("poses"), force, own)
 
 
-def _remembering(state: State, memory: Memory, start: Array | None) -> Array:
+def _remembering(state: State, memory: MaterialMemory, start: Array | None) -> Array:
     """(F, Q) rad, the curvature at rest of a beam with this memory that is bent as in `start`."""
     bent = np.zeros(memory.before.shape[:2]) if start is None else start - state.rest
     return np.asarray(state.rest + memory.shift(state.value("relaxation"), bent)[0])

@@ -78,7 +78,7 @@ class FrameInputs:
     gravity: Array  # (B, 2) m/s^2
     farther: Array  # (B,) m that the push lies beyond its grid's place
     terms: Array  # (B, terms) of the allowances that go with the frames
-    memory: effects.Memory
+    memory: effects.MaterialMemory
 
 
 def session_of(
@@ -239,13 +239,15 @@ class Lineariser:
         keys.set_linear(solved, point, now.pose[good], slopes.j[good], (slopes.a @ slopes.axes)[good])
         return set(solved.tolist())
 
-    def _memory(self, keys: KeyFrames, push_s: float, frames: tuple[list[int], Array], point: Array) -> effects.Memory:
+    def _memory(
+        self, keys: KeyFrames, push_s: float, frames: tuple[list[int], Array], point: Array
+    ) -> effects.MaterialMemory:
         """Memory of the beam in the chosen frames, from the key frame before each; `frames`: these, and their shapes.
         The first key frame and proposed averages keep theirs."""
         chosen, here = frames
         before, now = here[..., 1:], np.zeros((len(chosen), len(effects.TIMES)))
         if "relaxation" not in self._session.columns:
-            return effects.Memory(np.zeros_like(before), now, REACHED)
+            return effects.MaterialMemory(np.zeros_like(before), now, REACHED)
         rest_on_nodes, curvature = pushed_at(self._session, push_s).rest_on_nodes, self._curvature(point)
         bending = here[..., :1] - (rest_on_nodes @ curvature)[:, None]
         centre = 0.5 * (keys.begin + keys.end)
@@ -262,7 +264,7 @@ class Lineariser:
                 lags, bent = before[b0] + now[b0] * bending[b0], bending[b0]
             now[b] = last[k - 1]
             before[b] = kept[k - 1] * lags + entered[k - 1] * bent
-        return effects.Memory(before, now, REACHED)
+        return effects.MaterialMemory(before, now, REACHED)
 
     def secant(self, keys: KeyFrames, point: Array, x: Array, covariance: Array) -> tuple[Array, Array]:
         """Mean (n,) and covariance (n, n) of the parameters, log k being made that of the secant stiffness of the push

@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import LogSpline
-from onebend.learning.allowances import LIVE_ALLOWANCES, Memory
+from onebend.learning.allowances import LIVE_ALLOWANCES, MaterialMemory
 from onebend.learning.force_error import spanned_error
 from onebend.learning.hyperparameters import SPREAD
 from onebend.learning.linear import Hyperparameters, RecordingNoise
@@ -55,7 +55,7 @@ def test_every_derivative_matches_differences(shares: tuple[float, float, float]
         np.array([[0.0, -3.0], [1.0, 0.0]]),
         np.array([1e-3, 0.0]),
         rng.uniform(0.2, 0.8, (2, session.terms.count)),
-        Memory(before, np.tile([0.3, 0.2, 0.1], (2, 1)), REACHED),
+        MaterialMemory(before, np.tile([0.3, 0.2, 0.1], (2, 1)), REACHED),
     )
 
     def at(x: Array, start: Array | None, inputs: FrameInputs = inputs) -> Prediction:

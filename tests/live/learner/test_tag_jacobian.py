@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from onebend.learning import static_poses
-from onebend.learning.allowances import TIMES, Memory, lags, reached_part
+from onebend.learning.allowances import TIMES, MaterialMemory, lags, reached_part
 from onebend.learning.fit_data import fit_data
 from onebend.learning.parameters import Block, Layout, Priors, Spline, make_layout
 from onebend.learning.prediction import Prediction, predict
@@ -108,7 +108,7 @@ class Point:
         bent = shapes - data.rest_on_nodes @ self.values["curvature"]
         lagging = np.moveaxis(lags(data.observations.time) @ bent, 0, -1)
         reached = np.array([reached_part(lagging[..., j], bent, data.problem.weights) for j in range(len(TIMES))])
-        memory = Memory(lagging, np.zeros((8, len(TIMES))), reached)
+        memory = MaterialMemory(lagging, np.zeros((8, len(TIMES))), reached)
         inputs = FrameInputs(data.force, data.rate, data.observations.gravity, np.zeros(8), self.terms, memory)
         return predict(frames_at(self.session, PUSH_S, inputs), self.session_layout, x, shapes)
 
