@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from onebend.live.guidance import TagView, setup_advice, tag_views
+from onebend.live.guidance import TagView, Widening, setup_advice, tag_views
 from onebend.recording.tag_finder import Finder
 from onebend.records import Array
 from tests.recording.filmed import HEIGHT, WIDTH, corners_of, picture, poses, recording, view
@@ -89,3 +89,17 @@ def test_the_views_are_where_the_tags_are() -> None:
     assert [tag.on_base for tag in views] == [True, False, False, False]
     true = corners_of(REST, view())
     assert np.abs(np.array([tag.corners for tag in views]) - true).max() < 0.5
+
+
+SIZES = {"tags": 1.0, "force": 0.01, "drift": 0.002, "load": 0.5}
+
+
+def test_a_band_that_widens_says_why() -> None:
+    before = Widening(0.20, SIZES)
+    assert before.why(float("nan"), {}) == ""
+    assert before.why(0.22, {**SIZES, "tags": 3.0}) == ""  # hardly wider
+    said = before.why(0.30, {**SIZES, "tags": 4.0, "drift": 0.004, "load": 0.9})
+    assert said.startswith("wider than the ± 20 % that it was: the tags miss the fitted shape by 4")
+    assert "drifts 3 times as much" in before.why(0.30, {**SIZES, "drift": 0.006})
+    assert "all frames were read again" in before.why(0.30, SIZES)
+    assert Widening().why(0.30, SIZES) == ""

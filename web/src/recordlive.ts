@@ -6,7 +6,7 @@ import { Canvas, Colours, label, Point, trace } from "./draw.js";
 interface Tag { id: number; side_px: number | null; corners_px: Point[] | null }
 interface State {
   stages: string[]; stage: number; advice: string[]; size_px: [number, number] | null; tags: Tag[]; tag_s: number[]; force_N: (number | null)[]; tare_N: (number | null)[];
-  displacement: number | null; largest: number | null; half_width: number | null; until: number | null; k_says: string; seconds: number; frames: number; drops: number;
+  displacement: number | null; largest: number | null; half_width: number | null; wider: string; until: number | null; k_says: string; seconds: number; frames: number; drops: number;
   samples: number; lost_samples: number; clock_sd_s: number | null; bytes: number; disk_left: number | null;
 }
 interface Outcome { ended: string; fault: boolean; begun: boolean; seconds: number; frames: number; frames_missing: number; samples: number; log: string | null; remarks: string[] }
@@ -116,7 +116,7 @@ export class Live {
     this.bar.parentElement!.hidden = state.half_width === null;
     this.bar.style.width = `${100 * Math.min(state.half_width ?? 1, 1)}%`;
     this.bar.className = state.until !== null && (state.half_width ?? 1) > state.until ? "low" : "";
-    this.kWords.textContent = state.half_width === null ? state.k_says : "";
+    this.kWords.textContent = state.half_width === null ? state.k_says : state.wider;
   }
 
   private fetchPicture(): void {

@@ -114,7 +114,8 @@ def recording_rows(state: CaptureState) -> list[tuple[str, str]]:
     if not math.isnan(state.half_width):
         wanted = "" if math.isnan(state.until) else f", wanted ± {100 * state.until:.2g} %"
         bar = "█" * max(1, round(_BAR * min(state.half_width, 1.0)))
-        rows.append(("k(s)", f"± {100 * state.half_width:.2g} % (95 %, median){wanted}\n{bar:░<{_BAR}}"))
+        why = f"\n{state.wider}" if state.wider else ""
+        rows.append(("k(s)", f"± {100 * state.half_width:.2g} % (95 %, median){wanted}\n{bar:░<{_BAR}}{why}"))
     elif state.live is not None:
         rows.append(("k(s)", state.live.verdict.headline))
     if state.frames:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, Protocol, get_args
@@ -92,6 +92,7 @@ class CaptureState:
     largest: float = math.nan  # of these so far
     stiffness: UncertainStiffness | None = None  # k(s) with its band
     half_width: float = math.nan  # of the band of k(s), as a share: 0.05 is 5 %
+    wider: str = ""  # why the band is wider than it was; empty where it is not
     until: float = math.nan  # the half width that is wanted
     seconds: float = 0.0  # of film
     frames: int = 0  # in the film
@@ -103,6 +104,28 @@ class CaptureState:
     bytes: int = 0  # of film and log
     disk_left: float = math.nan  # bytes
     live: LiveState | None = None  # tags, clock, verdict in full
+
+
+WIDER = 1.15  # times as wide as the narrowest band so far
+GREW = 1.1  # times as large, of what the width follows from
+_WIDENS = {"tags": "wider: tags", "force": "wider: force", "drift": "wider: drift", "load": "wider: load"}
+
+
+@dataclass(frozen=True)
+class Widening:
+    """The narrowest band so far, and what its width followed from."""
+
+    half_width: float = math.inf
+    causes: Mapping[str, float] = field(default_factory=dict)  # as `OnlineLearner.causes_of_width`
+
+    def why(self, half_width: float, causes: Mapping[str, float]) -> str:
+        """Why a band is wider than the narrowest; empty where it is not."""
+        if not half_width > WIDER * self.half_width:
+            return ""
+        grown = {name: size / self.causes[name] for name, size in causes.items() if self.causes.get(name, 0.0) > 0.0}
+        most = max(grown, key=lambda name: grown[name], default="")
+        code = _WIDENS[most] if grown.get(most, 0.0) > GREW else "wider: review"
+        return say(code, before=self.half_width, ratio=grown.get(most, 1.0))
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ do not grow.
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -619,6 +620,14 @@ class OnlineLearner:
         """What the fit allows for and this learner does not: it takes the beam and the bench as ideal there,
         and its band holds no more of it than what the discrepancy takes in."""
         return tuple(sorted(OF_ONE - self._session.columns.keys() - self._held))
+
+    @property
+    def causes_of_width(self) -> dict[str, float]:
+        """What the width of the band follows from, beside the frames: the tags' misfit or noise, whichever is larger,
+        and the parts of the force error over what was expected."""
+        state, found = self._state, self._state.hyperparameters
+        force = math.hypot(found.coloured, found.white)
+        return {"tags": max(state.marker, state.misfit), "force": force, "drift": found.walk, "load": found.load}
 
     @property
     @one_blas_thread

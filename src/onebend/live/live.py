@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -213,6 +214,7 @@ class LiveState:
     verdict: LiveVerdict
     waiting: tuple[str, ...]  # what is not known yet, and why
     remarks: tuple[Remark, ...]  # of the last review, as `learn` makes them
+    causes_of_width: Mapping[str, float] = field(default_factory=dict)  # as of `OnlineLearner`; empty without k(s)
 
 
 def live_verdict(
@@ -448,6 +450,7 @@ class Live:
             verdict=live_verdict(stiffness, known, why, () if learning is None else learning.doubts),
             waiting=tuple(waiting),
             remarks=known.remarks,
+            causes_of_width={} if learning is None else learning.learner.causes_of_width,
         )
 
     def finish(self, *, fitting: FitSettings = FitSettings(), progress: Progress = Silent()) -> Run:

@@ -40,6 +40,7 @@ class Follower:
         ids = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
         self._tracker = Tracker(ids, rec.tags.family)
         self._live: Live | None = None
+        self._narrowest = guidance.Widening()
 
     def look(self, frame: Frame) -> tuple[tuple[TagView, ...], list[str]]:
         """The tags of a picture before the film begins, and what is to be better."""
@@ -77,13 +78,16 @@ class Follower:
             self._live.force(time, force, place)
 
     def known(self) -> dict[str, Any]:
-        """Of `CaptureState`: k(s), its half width, and all that `Live` says."""
+        """Of `CaptureState`: k(s), its half width, why it is wider than it was, and all that `Live` says."""
         if self._live is None:
             return {}
         state, width = self._live.state(), math.nan
         if state.stiffness is not None and identified_ranges(state.stiffness):
             width = float(np.expm1(typical_half_width(state.stiffness)))
-        return {"live": state, "stiffness": state.stiffness, "half_width": width}
+        if width <= self._narrowest.half_width:
+            self._narrowest = guidance.Widening(width, state.causes_of_width)
+        why = self._narrowest.why(width, state.causes_of_width)
+        return {"live": state, "stiffness": state.stiffness, "half_width": width, "wider": why}
 
     def close(self) -> None:
         if self._live is not None:

@@ -33,7 +33,7 @@ OFTEN = 0.2  # s between pictures
 WIDEST = 800  # px
 QUALITY = 60  # of JPEG
 _AS_THEY_ARE = (
-    *("advice", "displacement", "largest", "half_width", "until", "seconds", "frames", "drops", "samples"),
+    *("advice", "displacement", "largest", "half_width", "wider", "until", "seconds", "frames", "drops", "samples"),
     *("lost_samples", "bytes", "disk_left"),
 )
 _PATIENCE = 3.0  # s for the last messages

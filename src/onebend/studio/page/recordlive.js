@@ -97,7 +97,7 @@ export class Live {
         this.bar.parentElement.hidden = state.half_width === null;
         this.bar.style.width = `${100 * Math.min(state.half_width ?? 1, 1)}%`;
         this.bar.className = state.until !== null && (state.half_width ?? 1) > state.until ? "low" : "";
-        this.kWords.textContent = state.half_width === null ? state.k_says : "";
+        this.kWords.textContent = state.half_width === null ? state.k_says : state.wider;
     }
     fetchPicture() {
         const now = this.newest;
