@@ -10,11 +10,12 @@ import numpy as np
 from onebend.errors import ObservationError
 from onebend.recording.bag_topics import read_bag_force
 from onebend.recording.beam_frame import BaseLog, RestShape, base_clock, check_overlap
-from onebend.recording.clock import ClockFit, ClockSettings, displacements, fit_clock, slow_sensor, without_lag
+from onebend.recording.clock import ClockFit, fit_clock, without_lag
+from onebend.recording.clock_features import ClockSettings
 from onebend.recording.entries import ForceEntry, Recording
 from onebend.recording.force import Contact, ForceSettings, choose_cutoff, clean_force, force_at, gap_limit, to_beam
 from onebend.recording.force_log import FEWEST_ROWS, noise_remarks, read_force_log, refuse_other_unit, size_remarks
-from onebend.recording.signals import at_times, bandwidth, from_clamp, step
+from onebend.recording.signals import at_times, from_clamp, step
 from onebend.records import Array, BoolArray, CleanForce, ClockOffset, ForceLog, Markers, Remark
 
 # Flipped signs and swapped axes are the commonest mistakes. The moment of the force about a place turns a clamped
@@ -205,26 +206,37 @@ def read_log(rec: Recording) -> ForceLog | None:
 
 
 def match_clocks(
-    rec: Recording, markers: Markers, log: ForceLog | None, base: BaseLog | None, settings: ClockSettings
-) -> ClockFit:
-    """The offset from the force, else from the base's turn, else as written; 0 where there is no second clock."""
+    rec: Recording,
+    markers: Markers,
+    log: ForceLog | None,
+    base: BaseLog | None,
+    clock: ClockSettings,
+    force: ForceSettings,
+) -> tuple[ForceLog | None, ClockFit]:
+    """The offset from the force, else from the base's turn, else as written; 0 where there is no second clock.
+
+    The log is given back, where its sensor is slow as one that is not would have written it."""
     stated, uncertainty = rec.start
     if log is None and base is None:
         start = stated if math.isfinite(stated) else 0.0
-        return ClockFit(ClockOffset(offset=start, sd=uncertainty, stated=stated, found=False), None)
-    fit = None
+        return None, ClockFit(ClockOffset(offset=start, sd=uncertainty, stated=stated, found=False))
+    exact = uncertainty == 0.0 and math.isfinite(stated)
+    fit = ClockFit(ClockOffset(offset=stated, sd=0.0 if exact else math.inf, stated=stated, found=exact))
     if log is not None and rec.force is not None:
         check_pace(rec, markers, log)
-        in_frame, push_s = _turned(log, rec.force), push_place(rec, log)
-        fit = fit_clock(markers, in_frame, stated, uncertainty, push_s=push_s, settings=settings)
-    exact = uncertainty == 0.0 and math.isfinite(stated)
-    if exact and fit is None:
-        fit = ClockFit(ClockOffset(offset=stated, sd=0.0, stated=stated, found=True), None)
-    if base is not None and (fit is None or not fit.clock.found):
-        base_offset = base_clock(markers, base, stated, uncertainty, margin=settings.margin)
-        if base_offset.found or fit is None:
-            fit = ClockFit(base_offset, None)
-    assert fit is not None
+        fit = fit_clock(
+            markers, _turned(log, rec.force), stated, uncertainty, push_s=push_place(rec, log), settings=clock
+        )
+        if fit.lag is not None:
+            log, remark = without_lag(log, fit.lag.tau, choose_cutoff(fit.rate, force)), _slow_words(fit.lag.tau)
+            fit = fit_clock(
+                markers, _turned(log, rec.force), stated, uncertainty, push_s=push_place(rec, log), settings=clock
+            )
+            fit = replace(fit, remarks=(remark, *fit.remarks))
+    if base is not None and not fit.clock.found:
+        base_offset = base_clock(markers, base, stated, uncertainty, margin=clock.margin)
+        if base_offset.found or log is None:
+            fit = ClockFit(base_offset, rate=fit.rate)
     if not math.isfinite(fit.clock.offset):
         raise ObservationError(
             f"{rec.name}: nothing says when the film (or the tracks) starts on the log's clock, and the data do not "
@@ -233,25 +245,17 @@ def match_clocks(
         )
     times = log.time if log is not None else base.time if base is not None else markers.time
     check_overlap(markers, times, fit.clock.offset, "force log" if log is not None else "base angle log")
-    return fit
+    return log, fit
 
 
-def without_slow_sensor(
-    rec: Recording, markers: Markers, log: ForceLog | None, fit: ClockFit, clock: ClockSettings, force: ForceSettings
-) -> tuple[ForceLog | None, tuple[Remark, ...]]:
-    """The log, where its sensor is slow as one that is not would have written it, with a warning; else as it is."""
-    if log is None or rec.force is None:
-        return log, ()
-    lag = slow_sensor(markers, _turned(log, rec.force), fit.clock, push_s=push_place(rec, log), settings=clock)
-    if lag is None:
-        return log, ()
+def _slow_words(tau: float) -> Remark:
+    """The warning of a sensor with the lag `tau` [s]."""
     text = (
-        f"The force sensor is slow: its log follows the force with a time constant of about {lag.tau:.2g} s, which "
-        "makes every peak too low and k(s) too small. This was undone, as well as the log allows. Switch the "
-        "sensor's filter off, or push more slowly."
+        f"The force sensor is slow: its log follows the force with a time constant of about {tau:.2g} s, which makes "
+        "every peak too low and k(s) too small. This was undone, as well as the log allows. Switch the sensor's filter "
+        "off, or push more slowly."
     )
-    cutoff = choose_cutoff(bandwidth(markers.time, displacements(markers)), force)
-    return without_lag(log, lag.tau, cutoff), (Remark("warning", text, about="clock"),)
+    return Remark("warning", text, about="clock")
 
 
 def _turned(log: ForceLog, entry: ForceEntry) -> ForceLog:
@@ -280,9 +284,7 @@ def push_place(rec: Recording, log: ForceLog) -> float | None:
     return float(np.median(log.push_s)) if float(np.ptp(log.push_s)) < 0.02 else None
 
 
-def cleaned(
-    rec: Recording, markers: Markers, log: ForceLog, contact: Contact, fit: ClockFit, settings: ForceSettings
-) -> CleanForce:
+def cleaned(rec: Recording, log: ForceLog, contact: Contact, fit: ClockFit, settings: ForceSettings) -> CleanForce:
     """The force on the beam, its cut-off from the markers' motion and its zero from the rests."""
     assert rec.force is not None
     offset = fit.clock.offset
@@ -291,7 +293,7 @@ def cleaned(
         [(low + offset, high + offset) for low, high in contact.rests],
         rotation=rec.force.rotation,
         acts_on=rec.force.acts_on,
-        cutoff=choose_cutoff(bandwidth(markers.time, displacements(markers)), settings),
+        cutoff=choose_cutoff(fit.rate, settings),
         noise=fit.noise,
         settings=settings,
     )

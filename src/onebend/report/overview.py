@@ -13,7 +13,8 @@ from scipy.ndimage import uniform_filter1d
 from onebend.errors import ObservationError, OnebendError, told
 from onebend.recording.bag_topics import bag_span
 from onebend.recording.beam_frame import read_base_log, rest_shape
-from onebend.recording.clock import ClockSettings, reach_of
+from onebend.recording.clock import reach_of
+from onebend.recording.clock_features import ClockSettings
 from onebend.recording.entries import Recording, VideoEntry
 from onebend.recording.folder import read_recording
 from onebend.recording.force import to_beam
