@@ -26,12 +26,14 @@ from onebend.recording.folder import read_recording
 from onebend.recording.force import (
     Contact,
     ForceSettings,
+    cleaned,
     find_contact,
     force_at,
+    match_clocks,
+    read_log,
     to_beam,
 )
 from onebend.recording.force_noise import TimeSpans, covariance, first_guess
-from onebend.recording.pairing import cleaned, match_clocks, read_log
 from onebend.recording.tags import detect_tags
 from onebend.recording.tracks import with_angles
 from onebend.records import Array, ForceLog, Markers

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 
 from onebend.recording.clock_evidence import (
     BinnedLog,
     Prior,
+    SensorLag,
     averaged_over,
-    coarse_search,
     compared_rows,
     feature_scans,
+    find_lag,
     likely_offsets,
     likely_span,
     moments_of,
@@ -21,9 +21,8 @@ from onebend.recording.clock_evidence import (
     refined,
     thinned,
 )
-from onebend.recording.clock_features import FEWEST, ClockSettings, FilmFeatures, Track, film_features, lagging, resting
+from onebend.recording.clock_features import ClockSettings, FilmFeatures, film_features
 from onebend.recording.clock_moments import offset_from_moments
-from onebend.recording.signals import low_pass, outliers, step
 from onebend.records import Array, ClockOffset, ForceLog, ForceNoise, Markers, Remark
 
 ROUGHLY = 0.1  # s: a start stated to this uncertainty or less was measured, and is trusted
@@ -94,14 +93,6 @@ def remarks_on(clock: ClockOffset, uncertainty: float, low: float, high: float) 
         text = f"The clocks are matched to {clock.sd:.2f} s (one sd) only: the push is slow or weak."
         remarks.append(Remark("note", text))
     return tuple(remarks)
-
-
-@dataclass(frozen=True)
-class SensorLag:
-    """A first-order lag of the force sensor."""
-
-    tau: float  # s
-    evidence: float  # its log, over that of a quick sensor
 
 
 @dataclass(frozen=True)
@@ -180,69 +171,3 @@ def matched(
         if sharp is not None:
             return sharp
     return *averaged_over(scans, [refined(scan, rows, offsets, prior) for scan in scans]), scans[0].noise
-
-
-# A slow sensor's filter delays and lowers peaks: k(s) comes out too small, and the offset takes up the delay. But the
-# log goes on falling when the tags stand still. So it is compared with features that went through such a filter.
-
-QUICK = (0.0, 0.2)  # s: a sensor as quick as that hardly changes k(s)
-SLOW = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)  # s
-REACH, MARGIN = 1.0, 0.1  # offsets compared: from this many lags before the one found, and s on either side
-LAGS_APART, OF_LAG = 0.05, 0.1  # s between them, or this share of the lag where that is more
-
-
-def find_lag(film: FilmFeatures, log: ForceLog, offset: float, settings: ClockSettings) -> SensorLag | None:
-    """The lag of the sensor that wrote `log`, where it is certain. `offset` [s] is the clock's as found."""
-    rows = compared_rows(film, log, (offset - REACH * SLOW[-1] - MARGIN, offset + MARGIN), settings)
-    if rows is None or not film.tracks:
-        return None
-    rested = resting(film.tracks[-1])
-    # Of the film: a longer lag leaves no push to see.
-    slow = [lag for lag in SLOW if lag <= 0.25 * film.tracks[-1].duration]
-
-    @cache
-    def at(i: int) -> float:
-        return evidence(rested, rows, offset, slow[i])
-
-    best = next((i for i in range(1, len(slow), 2) if at(i) > 0.0), None)
-    if best is None:
-        return None
-    while (higher := max(range(max(best - 1, 0), min(best + 2, len(slow))), key=at)) != best:
-        best = higher
-    # Log evidence of a slow sensor over a quick one; other errors that last reach half of that.
-    if best + 1 >= len(slow) or not at(best) > 30.0:
-        return None  # at the end of the range it is something else
-    fine = np.geomspace((*QUICK[-1:], *slow)[best], slow[best + 1], 9)
-    logs = np.array([evidence(rested, rows, offset, lag, within=float(fine[-1])) for lag in fine])
-    weight = np.exp(logs - np.max(logs))
-    return SensorLag(tau=float(weight @ fine / np.sum(weight)), evidence=float(np.max(logs)))
-
-
-def evidence(track: Track, rows: BinnedLog, offset: float, tau: float, *, within: float = 0.0) -> float:
-    """Log evidence of the log under a lag `tau` [s] over that under a quick sensor, each at its likeliest offset.
-
-    The rows are those that every offset covers, up to a lag of `within` [s]; minus infinity where they are too few.
-    Where it is negative over a sensor without a lag, other quick ones are not tried."""
-    apart, reach = max(LAGS_APART, OF_LAG * tau), REACH * max(tau, within)
-    offsets = np.arange(offset - reach - MARGIN, offset + MARGIN + 0.5 * apart, apart)
-    covered = [np.isfinite(track.mean(rows.time - shift, rows.width)).all(axis=(1, 2)) for shift in offsets]
-    known = np.all(covered, axis=0)
-    if known.sum() < FEWEST:
-        return -np.inf
-    same = replace(rows, time=rows.time[known], force=rows.force[known])
-
-    def at_best(lag: float) -> float:
-        return float(np.max(coarse_search(lagging(track, lag), same, offsets, np.zeros_like).log_posterior))
-
-    quick, slow = at_best(QUICK[0]), at_best(tau)
-    if slow > quick:
-        quick = max(quick, *(at_best(lag) for lag in QUICK[1:]))
-    return slow - quick if np.isfinite(quick) else -np.inf
-
-
-def without_lag(log: ForceLog, tau: float, cutoff: float) -> ForceLog:
-    """The log without its sensor's lag `tau` [s]: `F + tau F'`, low-passed at `cutoff` [Hz] against noise."""
-    bad = outliers(log.force, spacing=step(log.time))
-    known = [np.interp(log.time, log.time[~bad], column[~bad]) for column in log.force.T]
-    smooth = low_pass(log.time, np.stack(known, axis=1), cutoff, longest_gap=max(0.1, 3.0 * step(log.time)))
-    return replace(log, force=smooth + tau * np.gradient(smooth, log.time, axis=0))

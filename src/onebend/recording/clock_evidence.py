@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpotrf, dtbtrs, dtrtrs
 from scipy.ndimage import uniform_filter1d
 
-from onebend.recording.clock_features import FEWEST, ClockSettings, FilmFeatures, Track, joined
+from onebend.recording.clock_features import FEWEST, ClockSettings, FilmFeatures, Track, lagging, resting
 from onebend.recording.force_noise import LEAST, TINY, first_guess, likeliest_noise
 from onebend.recording.signals import outliers, step
 from onebend.records import Array, ForceLog, ForceNoise, IntArray
@@ -35,9 +35,14 @@ class BinnedLog:
     width: float  # s
     largest: float  # N, largest deviation from the median
 
-    def walk_variance(self, noise: ForceNoise) -> Array:
+    @cached_property
+    def noise(self) -> ForceNoise:
+        """A first guess."""
+        return first_guess(self.force, self.width)
+
+    def walk_variance(self) -> Array:
         """(N,) N^2: the variance so far of a random walk that moves only where the force changes, and by as much."""
-        gaps = np.diff(self.time)
+        gaps, noise = np.diff(self.time), self.noise
         own = 2 * noise.white**2 + 2 * noise.coloured**2 * (1 - np.exp(-gaps / noise.tau)) + noise.walk**2 * gaps
         power = np.mean(np.diff(self.force, axis=0) ** 2, axis=1)
         size = max(3, round(1.0 / self.width))  # s, window around a row over which the power of its changes is averaged
@@ -214,7 +219,6 @@ MOST_LOOKS, AROUND = 24, 0.5  # offsets that are searched finely, and how far ar
 FAR_OFF, NEAR = 0.05, 0.02  # of the largest force: residual of an offset on the rough, the fine grid
 APART, MOST_PEAKS = 0.15, 6  # s: estimates of the offset that are farther apart are each looked at closely
 LEAST_SPAN = 0.2  # s, searched finely on either side of the first estimate at least
-STEP_DOUBT = 0.05  # s, sd of the offset from not knowing when the log's error changes with the load
 
 
 @dataclass(frozen=True)
@@ -246,7 +250,6 @@ class OffsetScan:
     track: Track
     log_posterior: Array  # over the coarse offsets
     noise_at_best: Callable[[], ForceNoise]  # is fitted
-    doubt: float = 0.0  # s, sd of its offset beside what the posterior says
 
     @cached_property
     def noise(self) -> ForceNoise:
@@ -265,20 +268,15 @@ def coarse_search(track: Track, rows: BinnedLog, offset: Array, prior: Prior) ->
     def searched(noise: ForceNoise) -> Array:
         return evidence_ratios(laid, rows, noise) + prior(offset)
 
-    start = first_guess(rows.force, rows.width)
-    noise = fitted(searched(with_slow_noise(start, NEAR * rows.largest)), start)
+    noise = fitted(searched(with_slow_noise(rows.noise, NEAR * rows.largest)), rows.noise)
     log_posterior = searched(noise)
     return OffsetScan(track, log_posterior, lambda: fitted(log_posterior, noise))
 
 
 def feature_scans(film: FilmFeatures, rows: BinnedLog, offsets: Array, prior: Prior) -> list[OffsetScan]:
-    """The scans over `offsets` (N,) [s] by all sets of features, the most probable first; of the best also one in which
-    the log's error changes with the load. None where film and log have too little in common."""
+    """The scans over `offsets` (N,) [s] by the sets of features, the most probable first; of those that have enough in
+    common with the log."""
     scans = [coarse_search(track, rows, offsets, prior) for track in film.tracks]
-    if scans and film.load is not None:
-        best = max(scans, key=lambda scan: float(scan.log_posterior.max()))
-        changing = coarse_search(joined(best.track, film.load), rows, offsets, prior)
-        scans.append(replace(changing, doubt=STEP_DOUBT))
     scans = [scan for scan in scans if np.isfinite(scan.log_posterior).any()]
     return sorted(scans, key=lambda scan: -float(scan.log_posterior.max()))
 
@@ -289,7 +287,7 @@ def evidence_ratios(laid: Sequence[LaidOver | None], rows: BinnedLog, noise: For
     Each offset covers other rows of the log. So the evidence with the markers is divided by that without them, of the
     same rows. Without markers a changing force counts as a random walk, a constant one as noise."""
     log_ratio = np.full(len(laid), -np.inf)
-    walk_variance = rows.walk_variance(first_guess(rows.force, rows.width))
+    walk_variance = rows.walk_variance()
     of_rows: dict[bytes, tuple[NoiseFactor, float]] = {}
     for i, film in ((i, film) for i, film in enumerate(laid) if film is not None):
         if (key := film.use.tobytes()) not in of_rows:
@@ -315,9 +313,9 @@ def likely_offsets(film: FilmFeatures, rows: BinnedLog, low: float, high: float)
     if high - low < 12.0 or not film.tracks:  # s: a longer range is searched roughly first
         return fine
     rough = np.arange(low, high, max(min(0.25, 0.25 / film.rate), 0.05))
-    track = film.tracks[-1]
+    track = film.tracks[0]
     few_rows = thinned(rows, FIRST_LOOK / track.duration)
-    noise = with_slow_noise(first_guess(few_rows.force, few_rows.width), FAR_OFF * rows.largest)
+    noise = with_slow_noise(few_rows.noise, FAR_OFF * rows.largest)
     log_ratio = evidence_ratios(laid_over(track, few_rows, rough), few_rows, noise)
     best = np.argsort(-log_ratio)[:MOST_LOOKS]
     likely = rough[best[log_ratio[best] >= log_ratio.max() - UNLIKELY]]
@@ -361,7 +359,7 @@ def refined(scan: OffsetScan, rows: BinnedLog, offsets: Array, prior: Prior) -> 
         if 0.08 * reach < sd < 0.3 * reach and abs(mean - centre) < 0.5 * reach:
             break
         centre, reach = mean, min(max(4.5 * sd, 1e-3), 2 * reach)
-    sd = float(np.hypot(max(sd, 1e-3), scan.doubt))
+    sd = float(np.hypot(max(sd, 1e-3), scan.track.doubt))
     ends = evidence_over_same_rows(scan, rows, np.array([best, mean]))
     outside = np.abs(offsets - mean) > max(reach, 4 * sd)
     if ends is None or not outside.any():
@@ -406,3 +404,69 @@ def moments_of(offset: Array, log_density: Array) -> tuple[float, float]:
     weight /= weight.sum()
     mean = float(weight @ offset)
     return mean, float(np.sqrt(weight @ (offset - mean) ** 2))
+
+
+# A slow sensor's filter delays and lowers peaks: k(s) comes out too small, and the offset takes up the delay. But the
+# log goes on falling when the tags stand still. So it is compared with features that went through such a filter.
+
+QUICK = (0.0, 0.2)  # s: a sensor as quick as that hardly changes k(s)
+SLOW = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)  # s
+LAG_REACH, MARGIN = 1.0, 0.1  # offsets compared: from this many lags before the one found, and s on either side
+LAGS_APART, OF_LAG = 0.05, 0.1  # s between them, or this share of the lag where that is more
+
+
+@dataclass(frozen=True)
+class SensorLag:
+    """A first-order lag of the force sensor."""
+
+    tau: float  # s
+    evidence: float  # its log, over that of a quick sensor
+
+
+def find_lag(film: FilmFeatures, log: ForceLog, offset: float, settings: ClockSettings) -> SensorLag | None:
+    """The lag of the sensor that wrote `log`, where it is certain. `offset` [s] is the clock's as found."""
+    rows = compared_rows(film, log, (offset - LAG_REACH * SLOW[-1] - MARGIN, offset + MARGIN), settings)
+    if rows is None or not film.tracks:
+        return None
+    rested = resting(film.tracks[0])
+    # Of the film: a longer lag leaves no push to see.
+    slow = [lag for lag in SLOW if lag <= 0.25 * film.tracks[0].duration]
+
+    @cache
+    def at(i: int) -> float:
+        return lag_evidence(rested, rows, offset, slow[i])
+
+    best = next((i for i in range(1, len(slow), 2) if at(i) > 0.0), None)
+    if best is None:
+        return None
+    while (higher := max(range(max(best - 1, 0), min(best + 2, len(slow))), key=at)) != best:
+        best = higher
+    # Log evidence of a slow sensor over a quick one; other errors that last reach half of that.
+    if best + 1 >= len(slow) or not at(best) > 30.0:
+        return None  # at the end of the range it is something else
+    fine = np.geomspace((*QUICK[-1:], *slow)[best], slow[best + 1], 9)
+    logs = np.array([lag_evidence(rested, rows, offset, lag, within=float(fine[-1])) for lag in fine])
+    weight = np.exp(logs - np.max(logs))
+    return SensorLag(tau=float(weight @ fine / np.sum(weight)), evidence=float(np.max(logs)))
+
+
+def lag_evidence(track: Track, rows: BinnedLog, offset: float, tau: float, *, within: float = 0.0) -> float:
+    """Log evidence of the log under a lag `tau` [s] over that under a quick sensor, each at its likeliest offset.
+
+    The rows are those that every offset covers, up to a lag of `within` [s]; minus infinity where they are too few.
+    Where it is negative over a sensor without a lag, other quick ones are not tried."""
+    apart, reach = max(LAGS_APART, OF_LAG * tau), LAG_REACH * max(tau, within)
+    offsets = np.arange(offset - reach - MARGIN, offset + MARGIN + 0.5 * apart, apart)
+    covered = [np.isfinite(track.mean(rows.time - shift, rows.width)).all(axis=(1, 2)) for shift in offsets]
+    known = np.all(covered, axis=0)
+    if known.sum() < FEWEST:
+        return -np.inf
+    same = replace(rows, time=rows.time[known], force=rows.force[known])
+
+    def at_best(lag: float) -> float:
+        return float(np.max(coarse_search(lagging(track, lag), same, offsets, np.zeros_like).log_posterior))
+
+    quick, slow = at_best(QUICK[0]), at_best(tau)
+    if slow > quick:
+        quick = max(quick, *(at_best(lag) for lag in QUICK[1:]))
+    return slow - quick if np.isfinite(quick) else -np.inf

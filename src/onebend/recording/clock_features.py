@@ -8,7 +8,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 from scipy.interpolate import CubicSpline, PPoly
 
-from onebend.recording.force_noise import LoadChange, displacement, load_changes
+from onebend.recording.force_noise import LoadChange, load_changes
 from onebend.recording.signals import MAD_TO_SD, bandwidth, bridged, from_clamp, runs, step
 from onebend.records import Array, BoolArray, IntArray, Markers
 
@@ -18,7 +18,7 @@ class ClockSettings:
     """How the offset is searched."""
 
     margin: float = 2.0  # s, searched beyond the stated offset and its uncertainty
-    corrections: tuple[float, ...] = (0.001, 0.01)  # prior sds, tried in turn, of what corrects the levers
+    corrections: tuple[float, ...] = (0.01, 0.001)  # prior sds, tried in turn, of what corrects the levers
     most_rows: int = 250  # of the log, after averaging
     most_frames: int = 4000  # of the film; where there are more, neighbours are averaged: some sixteen a row are left
     sharp_rows: int = 120  # of these, for the model by the spans' moments
@@ -47,6 +47,7 @@ SLACK = 0.2  # s, by which the log's error may change before or after the load d
 FEWEST_SPANS = 2  # that end at or before the push
 STILL = 10  # first and last frames in which the beam may be at rest
 FEWEST = 10  # frames, and rows of the log
+LOAD_DOUBT = 0.05  # s, sd of the offset from not knowing when the log's error changes with the load
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,7 @@ class Track:
     time: Array  # (T,) s, video clock
     before: float  # s before the film for which its first frames are taken to hold
     after: float  # s after the film for which its last frames are taken to hold
+    doubt: float = 0.0  # s, sd of an offset found by it, beside what its evidence says
 
     @property
     def duration(self) -> float:
@@ -96,8 +98,7 @@ class FilmFeatures:
 
     time: Array  # (T,) s, of the frames; where there are too many, of means of neighbours
     rate: float  # Hz, bandwidth of the motion; NaN where nothing moves
-    tracks: tuple[Track, ...]  # polynomials alone, then levers with small and with larger polynomials
-    load: Track | None  # of an error of the log that changes with the load
+    tracks: tuple[Track, ...]  # sets for the regression, the largest first
     moments: Moments | None
 
 
@@ -107,14 +108,15 @@ def film_features(markers: Markers, push_s: float | None, settings: ClockSetting
     markers = averaged(markers, settings.most_frames)
     seen = gapless(markers, settings)
     if seen is None or seen.covered.sum() < FEWEST:
-        return FilmFeatures(markers.time, rate, (), None, None)
+        return FilmFeatures(markers.time, rate, (), None)
     polynomials, turns = monomials(seen.xy, seen.angle), None if push_s is None else levers(seen, push_s)
-    ways: list[tuple[float, Array | None]] = [(1.0, None)]
+    sets = [regressors(polynomials, None)]
     if turns is not None and turns.shape[-1]:
-        ways += [(scale, turns) for scale in settings.corrections]
-    tracks = tuple(seen.track(regressors(scale * polynomials, of_levers)) for scale, of_levers in ways)
-    moments = None if push_s is None else make_moments(seen, push_s)
-    return FilmFeatures(markers.time, rate, tracks, seen.track(load_errors(seen, settings.steps)), moments)
+        sets = [*(regressors(scale * polynomials, turns) for scale in settings.corrections), *sets]
+    tracks = [seen.track(values) for values in sets]
+    with_load = np.concatenate([sets[0], load_errors(seen, settings.steps)], axis=2)
+    tracks.append(replace(seen.track(with_load), doubt=LOAD_DOUBT))
+    return FilmFeatures(markers.time, rate, tuple(tracks), None if push_s is None else make_moments(seen, push_s))
 
 
 def motion_rate(markers: Markers) -> float:
@@ -175,9 +177,9 @@ def gapless(markers: Markers, settings: ClockSettings) -> GaplessMarkers | None:
     markers, count = without_jumps(markers), len(markers.time)
     flat = bridged(markers.time, markers.xy[:, used].reshape(count, -1))
     angle = bridged(markers.time, markers.angle[:, used])
+    places = from_clamp(markers.s[used], flat.reshape(count, -1, 2), angle)
     ends = (slice(0, STILL), slice(-STILL, None))
     before, after = (settings.hold if is_still(flat, rows) else 0.0 for rows in ends)
-    places = from_clamp(markers.s[used], flat.reshape(count, -1, 2), angle)
     return GaplessMarkers(markers.time, *places, covered, before, after)
 
 
@@ -239,7 +241,7 @@ def load_errors(seen: GaplessMarkers, size: float) -> Array:
 def changes_of_load(seen: GaplessMarkers) -> list[LoadChange]:
     """The changes of the load, by markers that rest in the first frames."""
     moving = seen.xy[:, 1:]
-    size = displacement(seen.time, moving, np.median(moving[:STILL], axis=0))
+    size = np.sqrt(np.mean((moving - np.median(moving[:STILL], axis=0)) ** 2, axis=(1, 2)))
     return load_changes(seen.time, size, size > TOUCHED * size.max())
 
 
@@ -362,12 +364,6 @@ def load_change_ramps(seen: GaplessMarkers) -> Array:
     changes = changes_of_load(seen)
     wide = [replace(change, begin=change.begin - SLACK, end=change.end + SLACK) for change in changes]
     return np.reshape([change.fraction(seen.time) for change in wide], (len(wide), len(seen.time))).T
-
-
-def joined(track: Track, more: Track) -> Track:
-    """The features of both, of the same film."""
-    columns = np.concatenate([track.integral.c, more.integral.c], axis=-1)
-    return replace(track, integral=PPoly(columns, track.integral.x))
 
 
 def resting(track: Track) -> Track:

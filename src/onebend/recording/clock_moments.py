@@ -14,8 +14,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
-from onebend.recording.clock_evidence import STEP_DOUBT, BinnedLog, Prior, mixed, moments_of
-from onebend.recording.clock_features import FEWEST, RIDGE, STILL, Moments
+from onebend.recording.clock_evidence import BinnedLog, Prior, mixed, moments_of
+from onebend.recording.clock_features import FEWEST, LOAD_DOUBT, RIDGE, STILL, Moments
 from onebend.recording.force_noise import TimeSpans, covariance, first_guess, likeliest_noise
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, ForceNoise
 
@@ -351,7 +351,7 @@ def _found_from(
     # A jump at a wrong time shifts the offset, and a larger jump shifts it more.
     size = sum(error.probability * min(error.jump_sd / (LARGE * shared.model.force), 1.0) ** 2 for error in errors)
     # s, least sd that is claimed.
-    return _Found(mean, float(np.hypot(max(sd, 0.001), np.sqrt(size) * STEP_DOUBT)), log_evidence, errors[0].noise)
+    return _Found(mean, float(np.hypot(max(sd, 0.001), np.sqrt(size) * LOAD_DOUBT)), log_evidence, errors[0].noise)
 
 
 def scan_closer(

@@ -17,17 +17,18 @@ from onebend.recording.camera import check_turns, measure_markers
 from onebend.recording.clock_features import ClockSettings
 from onebend.recording.entries import Recording, TagsEntry, VideoEntry
 from onebend.recording.folder import FILE_NAME, read_recording
-from onebend.recording.force import ContactSettings, ForceSettings, find_contact
-from onebend.recording.outline import with_outline
-from onebend.recording.pairing import (
-    check_direction,
-    check_place,
+from onebend.recording.force import (
+    ContactSettings,
+    ForceSettings,
     cleaned,
+    find_contact,
     match_clocks,
     pair,
     read_log,
     usable,
 )
+from onebend.recording.force_axes import check_direction, check_place
+from onebend.recording.outline import with_outline
 from onebend.recording.photos import photo_observations
 from onebend.recording.poses import pose_observations
 from onebend.recording.signals import MOST_FRAMES, check_span

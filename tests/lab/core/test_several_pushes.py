@@ -11,8 +11,7 @@ from onebend.lab.bench import ForceSensor, PushProfile
 from onebend.lab.designs import force_that_bends
 from onebend.lab.virtual import VirtualBench, virtual_recording
 from onebend.recording.clock_features import ClockSettings
-from onebend.recording.force import ForceSettings
-from onebend.recording.pairing import match_clocks
+from onebend.recording.force import ForceSettings, match_clocks
 from onebend.recording.tracks import with_angles
 from onebend.records import Array
 from tests.made_up import BEAM

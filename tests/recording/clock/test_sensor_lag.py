@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.recording.clock import SensorLag, fit_clock, without_lag
+from onebend.recording.clock import fit_clock
+from onebend.recording.clock_evidence import SensorLag
+from onebend.recording.force import without_lag
 from onebend.recording.signals import low_pass, step
 from onebend.records import ForceLog
 from tests.recording.pushed import Pushed
