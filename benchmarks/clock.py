@@ -97,8 +97,8 @@ def compare(rec: Recording, markers: Markers, log: ForceLog, truth: Truth) -> Ro
         offset_sd=fit.clock.sd,
         bound=bound(rec, log, truth, true),
         cutoff=clean.cutoff,
-        force_first=error(force_at(first, markers.time + fit.clock.offset), truth, contact),
-        force_all=error(force_at(clean, markers.time + fit.clock.offset), truth, contact),
+        force_first=error(force_at(first, markers.time + fit.clock.offset)[0], truth, contact),
+        force_all=error(force_at(clean, markers.time + fit.clock.offset)[0], truth, contact),
         force_sd=clean.noise_sd,
         contact_error=contact.begin - begin,
     )

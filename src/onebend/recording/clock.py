@@ -132,18 +132,21 @@ def fit_offset(
     film: FilmFeatures, log: ForceLog, stated: float, uncertainty: float, settings: ClockSettings
 ) -> ClockFit:
     """The posterior of the offset alone."""
-    if uncertainty == 0.0 and np.isfinite(stated):
-        exact = ClockOffset(offset=stated, sd=0.0, stated=stated, found=True)
-        rows = compared_rows(film, log, (stated, stated), settings)
-        scans = [] if rows is None else feature_scans(film, rows, np.array([stated]), np.zeros_like)
-        return ClockFit(exact, scans[0].noise if scans else None)
-    low, high, prior = search_range(film.time, log.time, stated, uncertainty, settings.margin)
+    exact = uncertainty == 0.0 and np.isfinite(stated)
+    low, high = stated, stated
+    prior: Prior = np.zeros_like
+    if not exact:
+        low, high, prior = search_range(film.time, log.time, stated, uncertainty, settings.margin)
+    rows = compared_rows(film, log, (low, high), settings)
+    if exact:
+        scans = [] if rows is None else feature_scans(film, rows, np.array([stated]), prior)
+        clock = ClockOffset(offset=stated, sd=0.0, stated=stated, found=True)
+        return ClockFit(clock, scans[0].noise if scans else None)
     spread = prior_spread(low, high, prior)
     doubt = min(spread, uncertainty) if uncertainty < ROUGHLY else spread if np.isfinite(uncertainty) else np.inf
     unsettled = ClockOffset(offset=stated, sd=doubt, stated=stated, found=False)
     if not np.isfinite(film.rate) or high <= low:
         return ClockFit(unsettled, None, (Remark("note", "Nothing moves in the film: the clocks cannot be matched."),))
-    rows = compared_rows(film, log, (low, high), settings)
     match = None if rows is None else matched(film, rows, (low, high), prior, settings)
     if match is None:
         return ClockFit(unsettled, None, (Remark("warning", TOO_LITTLE, about="clock"),))

@@ -332,11 +332,6 @@ def gap_limit(time: Array, cutoff: float, settings: ForceSettings = ForceSetting
     return max(settings.longest_gap, memory, 3 * step(time))
 
 
-def force_at(clean: CleanForce, time: Array, *, settings: ForceSettings = ForceSettings()) -> Array:
-    """(T, 2) N at the times `time` [s, log's clock]; NaN outside the log and in its gaps."""
-    return at_times(clean.time, clean.force, time, longest_gap=gap_limit(clean.time, clean.cutoff, settings))
-
-
 def read_log(rec: Recording) -> ForceLog | None:
     """The force log, where the recording has one."""
     if rec.force is None:
@@ -449,26 +444,29 @@ def cleaned(rec: Recording, log: ForceLog, contact: Contact, fit: ClockFit, sett
     return replace(clean, remarks=(*clean.remarks, *size_remarks(clean.force, rec.beam.mass)))
 
 
-def pair(
-    rec: Recording, clean: CleanForce | None, time: Array, *, epsilon: float | None, settings: ForceSettings
+def force_at(
+    clean: CleanForce,
+    time: Array,
+    push_s: float = math.nan,
+    *,
+    epsilon: float | None = None,
+    settings: ForceSettings = ForceSettings(),
 ) -> tuple[Array, Array]:
     """(T, 2) N force and (T,) place of the push at the times `time` [s, log's clock]; NaN where the log is silent.
 
-    Interpolated, or of the nearest row of the log that is within `epsilon` [s]. Without a log the force is zero."""
-    count = len(time)
-    if clean is None:
-        return np.zeros((count, 2)), np.full(count, np.nan)
-    place = np.full(count, rec.push.at if rec.push else math.nan)
+    Interpolated, or of the nearest row of the log that is within `epsilon` [s]. The place is `push_s` where the log
+    has none."""
+    columns = clean.force if clean.push_s is None else np.column_stack([clean.force, clean.push_s])
     if epsilon is not None:
         after = np.clip(np.searchsorted(clean.time, time), 1, len(clean.time) - 1)
         row = np.where(time - clean.time[after - 1] < clean.time[after] - time, after - 1, after)
         close = np.abs(clean.time[row] - time) <= epsilon
-        force = np.where(close[:, None], clean.force[row], np.nan)
-        return force, place if clean.push_s is None else clean.push_s[row]
-    if clean.push_s is not None:
-        limit = gap_limit(clean.time, clean.cutoff, settings)
-        place = at_times(clean.time, clean.push_s[:, None], time, longest_gap=limit)[:, 0]
-    return force_at(clean, time, settings=settings), place
+        seen = np.where(close[:, None], columns[row], np.nan)
+    else:
+        seen = at_times(clean.time, columns, time, longest_gap=gap_limit(clean.time, clean.cutoff, settings))
+    if clean.push_s is None:
+        return seen, np.full(len(time), push_s)
+    return seen[:, :2], seen[:, 2]
 
 
 def usable(markers: Markers, force: Array) -> tuple[BoolArray, tuple[Remark, ...]]:

@@ -22,8 +22,8 @@ from onebend.recording.force import (
     ForceSettings,
     cleaned,
     find_contact,
+    force_at,
     match_clocks,
-    pair,
     read_log,
     usable,
 )
@@ -199,12 +199,14 @@ def assemble(
     log, fit = match_clocks(rec, reading, log, base, settings.clock, settings.force)
     contact = find_contact(reading, log, offset=fit.clock.offset, settings=settings.contact)
     time, clean = markers.time + fit.clock.offset, None
-    gravity = gravity_in_frame(rec.gravity, base, markers, time)
-    in_frame, rest, frame_remarks = to_beam_frame(markers, contact.still, rec.tags.placement_sd, gravity)
+    force, push_s, loaded = np.zeros((len(time), 2)), np.full(len(time), np.nan), np.zeros(len(time), dtype=bool)
     if log is not None:
         clean = cleaned(rec, log, contact, fit, settings.force)
-    force, push_s = pair(rec, clean, time, epsilon=settings.epsilon, settings=settings.force)
-    loaded = contact.loaded if clean is not None else np.zeros(len(time), dtype=bool)
+        at_s = rec.push.at if rec.push else np.nan
+        force, push_s = force_at(clean, time, at_s, epsilon=settings.epsilon, settings=settings.force)
+        loaded = contact.loaded
+    gravity = gravity_in_frame(rec.gravity, base, markers, time)
+    in_frame, rest, frame_remarks = to_beam_frame(markers, contact.still, rec.tags.placement_sd, gravity)
     few = of_markers(in_frame, read_before_fit(in_frame))
     angled = with_angles(few)
     bare = rest_shape(angled, contact.still)
