@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -13,7 +14,7 @@ from scipy.spatial import cKDTree
 from onebend.errors import ObservationError
 from onebend.recording import flanks, outline
 from onebend.recording.camera import measure_markers, project, to_plane
-from onebend.recording.flanks import MEASURED, Planes, Sight, Stations
+from onebend.recording.flanks import MEASURED, BodyPlace, Planes, Sight, Stations
 from onebend.records import Array, BoolArray, Markers, OutlineTrack, View
 from tests.recording.filmed import HEIGHT, LENGTH, WIDTH, corners_of, detections, poses, recording, view
 
@@ -76,7 +77,7 @@ def followed(pictures: Sequence[Planes]) -> tuple[outline.Middle, outline.Outlin
     """The body's centreline in these pictures."""
     stations, hidden, scale = stations_and_hidden()
     sights = [Sight(one, VIEW, np.zeros(2)) for one in pictures]
-    found, half = outline.follow(sights, stations, hidden, "painted")
+    found, half = outline.follow(sights, BodyPlace("painted", VIEW, stations, hidden, math.nan))
     middle = outline.centreline(found, stations, half, MEASURED / scale)
     outline.refuse_lost(middle, found, ~hidden, "painted")
     return middle, found
@@ -220,7 +221,9 @@ def test_pictures_without_the_body_are_left_out_and_told() -> None:
     pictures = [painted(0.01 * i, seed=i) for i in range(4)]
     pictures[2] = painted(0.0, ends=0.02)
     stations, hidden, _ = stations_and_hidden()
-    found, _ = outline.follow([Sight(one, VIEW, np.zeros(2)) for one in pictures], stations, hidden, "painted")
+    found, _ = outline.follow(
+        [Sight(one, VIEW, np.zeros(2)) for one in pictures], BodyPlace("painted", VIEW, stations, hidden, math.nan)
+    )
     lost = ~np.isfinite(found.away).any(axis=(1, 2))
     assert lost.tolist() == [False, False, True, False]
     (remark,) = outline.lost_remarks(found)
@@ -230,7 +233,7 @@ def test_pictures_without_the_body_are_left_out_and_told() -> None:
 def test_a_curve_off_the_body_is_refused() -> None:
     stations, hidden, scale = stations_and_hidden()
     sights = [Sight(painted(0.3), VIEW, np.zeros(2))] * 3
-    found, half = outline.follow(sights, stations, hidden, "painted")
+    found, half = outline.follow(sights, BodyPlace("painted", VIEW, stations, hidden, math.nan))
     rng = np.random.default_rng(1)
     strayed = outline.OutlineSearch(found.state, found.away + 3e-3 * rng.normal(size=found.away.shape))
     middle = outline.centreline(strayed, stations, half, MEASURED / scale)

@@ -200,7 +200,7 @@ class Stages:
         self.short_rest = False
         self._settings, self._forced = settings, forced
         self._base = len(rec.tags.on_base)
-        self._tip = int(np.argmax([tag.s for tag in rec.tags.on_beam]))
+        self._tip = int(np.argmax([tag.s for tag in rec.tags.on_beam])) if rec.tags.on_beam else -1
         self._length, self._size = rec.beam.length, rec.tags.size
         self._since = math.nan  # s, when the rest began
         self._rest: list[Array] = []  # (m, 2) lengths, of the frames of the first rest
@@ -235,9 +235,9 @@ class Stages:
             self._force_begin = float(np.fmin(self._force_begin, time[good].min()))
             self._force_end = float(np.fmax(self._force_end, time[good].max()))
 
-    def update(self, time: float, corners: Array) -> None:
-        """The tags of one more frame, (b + m, 4, 2) px."""
-        places = self._places(corners)
+    def update(self, time: float, corners: Array, body: Array | None = None) -> None:
+        """The tags of one more frame, (b + m, 4, 2) px, or points of a body without tags (n, 2), in its lengths."""
+        places = self._places(corners) if body is None else body
         if not np.isfinite(places).any():
             return
         self._recent.append((time, places))

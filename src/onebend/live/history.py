@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.errors import ObservationError
+from onebend.live.body import BodyFrame, OutlineSighting, PointReader, SeenOutline, point_reader
 from onebend.live.replayed import LiveFrame
 from onebend.recording.camera import Poses, drop, measure_poses, part, relative_to, together
 from onebend.recording.entries import Recording
 from onebend.recording.force import to_beam
-from onebend.recording.signals import LATEST
+from onebend.recording.signals import LATEST, nan_median
 from onebend.recording.tags import BlockTracks, TrackedFrame
 from onebend.records import Array, Observations, View
 
@@ -62,6 +63,11 @@ class FrameHistory:
             self._every *= 2
             kept = {(i, since) for one in self._frames for i, since in enumerate(one.still_since.tolist())}
             self._shifts = {key: shift for key, shift in self._shifts.items() if key in kept}
+
+    @property
+    def frames(self) -> tuple[TrackedFrame, ...]:
+        """Those that are kept."""
+        return tuple(self._frames)
 
     def tracks(self) -> BlockTracks:
         """The frames kept. A tag at rest is corrected in all its frames by what the last of them say."""
@@ -198,6 +204,7 @@ class FrameReader:
     place: float  # of the push; NaN where the log says it
     gravity: Array  # (2,) m/s^2
     largest: float  # m, displacement so far
+    points: PointReader | None = None  # of a body without tags
 
     def stands_in(self, ahead: float) -> float:
         """s: a frame up to so far after the newest row of the log takes its force. `ahead` [s]: usual lead of that
@@ -207,14 +214,15 @@ class FrameReader:
         """
         return float(np.clip(self.offset - ahead, 0.0, AS_NEAR * self.offset_sd))
 
-    def poses(self, corners: Array) -> tuple[Array, Array, Array]:
-        """(m, 2) m, (m,) rad and (m, 3, 3): the beam's tags in its frame, from corners (b + m, 4, 2) px."""
+    def poses(self, corners: Array, outline: OutlineSighting | None = None) -> tuple[Array, Array, Array]:
+        """(m, 2) m, (m,) rad and (m, 3, 3): the beam's tags in its frame, from corners (b + m, 4, 2) px, or points of
+        its outline."""
         noise = max(self.view.corner_sd, _LEAST_SD)
         poses, misfit, _ = measure_poses(self.view, corners[None], self.tag_size, noise=noise, refinements=1)
         poses = drop(poses, misfit > _WRONG * noise)
         poses = Poses(poses.xy, poses.angle - self.turn, poses.covariance)
         base = len(self.base_s)
-        own = part(poses, slice(base, None))
+        own = part(poses, slice(base, None)) if self.points is None else self.points.poses(self.view, outline)
         if self.follows_base:
             own = relative_to(together(part(poses, slice(base)), self.base_s.tolist()), own)
         xy, covariance = own.xy[0], own.covariance[0]
@@ -235,10 +243,10 @@ class FrameReader:
             return None
         return bool(np.nanmax(away) > max(_TOUCHED_SD * self.rest_sd, _TOUCHED_SHARE * self.largest)) or None
 
-    def frame(self, time: float, corners: Array, logged: Array) -> LiveFrame | None:
+    def frame(self, time: float, seen: TrackedFrame, logged: Array) -> LiveFrame | None:
         """What the learner takes of a frame at `time` [s, the frames' clock] with a row (2 or 3) of the log; None where
         nothing is to be learned from it: no tag, no force, or no sure contact."""
-        xy, angle, covariance = self.poses(corners)
+        xy, angle, covariance = self.poses(seen.corners, seen.outline if isinstance(seen, BodyFrame) else None)
         pushed = self.pushed(xy)
         place = self.place if len(logged) == 2 else float(logged[2])
         if pushed is None or not np.isfinite(logged).all() or not 0.0 < place <= 1.0:
@@ -247,8 +255,9 @@ class FrameReader:
         return LiveFrame(time + self.offset, xy, angle, covariance, force, place, pushed, self.gravity)
 
 
-def reader_of(rec: Recording, seen: Observations) -> FrameReader:
-    """The reader that goes on from what was observed so far, of frames that show a rest and a push.
+def reader_of(rec: Recording, seen: Observations, outline: SeenOutline | None = None) -> FrameReader:
+    """The reader that goes on from what was observed so far, as `replayed.taken`, of frames that show a rest and a
+    push; `outline` of a body without tags.
 
     Raises:
         ObservationError: there is no camera or no force.
@@ -280,4 +289,5 @@ def reader_of(rec: Recording, seen: Observations) -> FrameReader:
         place=push.at,
         gravity=seen.gravity[-1],
         largest=float(np.nanmax(away)) if np.isfinite(away).any() else 0.0,
+        points=None if outline is None else point_reader(outline, seen.marker_s, nan_median(seen.covariance)),
     )

@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import median
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +19,7 @@ from onebend.errors import ObservationError, OnebendError, RecordingError
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import Grade
 from onebend.live import review
+from onebend.live.body import BodyTracker, outline_in
 from onebend.live.history import AS_NEAR, ForceHistory, FrameHistory, FrameReader
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.learner import OnlineLearner
@@ -28,7 +29,7 @@ from onebend.progress import Progress, Silent, one_blas_thread
 from onebend.recording.entries import Recording
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings
-from onebend.recording.tags import TrackedFrame, Tracker
+from onebend.recording.tags import TrackedFrame
 from onebend.recording.tool import KeptSmall
 from onebend.recording.video import Picture
 from onebend.records import Array, ClockOffset, Remark
@@ -44,7 +45,7 @@ HALF = 0.015  # s: the force of a frame is the mean of the rows that are as near
 LONGEST_GAP = 0.1  # s, to the nearest row where none is
 _LATELY = 31  # frames, of which is known how far the log had come
 
-Frame = tuple[float, Array]  # time [s, the frames' clock] and corners (m, 4, 2) px
+Frame = tuple[float, TrackedFrame]  # time [s, the frames' clock]
 
 
 @dataclass
@@ -58,14 +59,14 @@ class Learning:
     doubts: tuple[str, ...] = ()
     force: Array = field(default_factory=lambda: np.full(2, np.nan))  # (2,) N, at the last frame
 
-    def update(self, log: ForceHistory, time: float, corners: Array, ahead: float) -> None:
+    def update(self, log: ForceHistory, time: float, seen: TrackedFrame, ahead: float) -> None:
         """Teach it one frame; `ahead`: as `FrameReader.stands_in`."""
         wanted = time + self.reader.offset
         if len(log) and wanted - log.newest <= self.reader.stands_in(ahead):
             wanted = min(wanted, log.newest)
         logged = log.mean_near(wanted, HALF, LONGEST_GAP)
         self.force = self.reader.force_on_beam(logged[:2])
-        frame = self.reader.frame(time, corners, logged)
+        frame = self.reader.frame(time, seen, logged)
         if frame is not None:
             with suppress(OnebendError):  # one not newer than the last, or without meaning: the next one will do
                 self.doubts = self.learner.update(**vars(frame)).doubts
@@ -109,10 +110,10 @@ class Following:
         behind = 0 if self._coming is None else len(self._coming.behind)
         return {"waiting": len(self._waiting), "since": len(self._since), "behind": behind}
 
-    def add(self, time: float, corners: Array) -> None:
+    def add(self, time: float, seen: TrackedFrame) -> None:
         """One more frame, later than all before."""
-        self._since.append((time, corners))
-        self._waiting.append((time, corners))
+        self._since.append((time, seen))
+        self._waiting.append((time, seen))
         if len(self._log):
             self._ahead.append(self._log.newest - time)
         self.release()
@@ -125,14 +126,14 @@ class Following:
                 self._waiting.popleft()
             return
         while self._waiting:
-            time, corners = self._waiting[0]
+            time, seen = self._waiting[0]
             if not self._there(time, learning.reader) and len(self._waiting) < _MOST_WAITING:
                 return
             self._waiting.popleft()
             if self.learning is not None:
-                self.learning.update(self._log, time, corners, self.ahead)
+                self.learning.update(self._log, time, seen, self.ahead)
             if self._coming is not None:
-                self._coming.behind.append((time, corners))
+                self._coming.behind.append((time, seen))
                 self._catch_up(self._coming)
             self.until = time
 
@@ -312,8 +313,7 @@ class Live:
                 "base alone."
             )
         self.recording, self.settings, self._clock = rec, settings, clock
-        tag_id = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
-        self._tracker = Tracker(tag_id, rec.tags.family)
+        self._tracker = BodyTracker(rec)
         self._small = KeptSmall(rec.beam.length, rec.tags.size, settings.most_frames // 4)
         self._frames = FrameHistory(settings.most_frames, self._small)
         self._log = ForceHistory(settings.most_rows, 4 if rec.push is not None and rec.push.column else 3)
@@ -334,12 +334,13 @@ class Live:
         self.close()
 
     @one_blas_thread
-    def frame(self, image: Picture | None, time: float) -> TrackedFrame | None:
+    def frame(self, image: Picture | None, time: float, colour: Any = None) -> TrackedFrame | None:
         """One picture of the camera: its tags, at once. None where it is of no use; `state().counts` says of how many.
 
         Args:
             image: (H, W) grey, 8 bit; None where a picture was lost.
             time: s, the camera's own clock. Pictures may be late by some frames.
+            colour: the same picture as `av.VideoFrame`. The outline of a body without tags is searched in its colours.
 
         Raises:
             ObservationError: after `finish` or `close`.
@@ -348,7 +349,7 @@ class Live:
         seen, self._refused = None, "it was lost" if image is None else ""
         try:
             if image is not None:
-                seen = self._tracker.step(image, time)
+                seen = self._tracker.step(image, time, colour)
         except ObservationError as error:
             self._refused = str(error)
         if seen is None:
@@ -366,7 +367,7 @@ class Live:
         self._frames.add(own)
         if not late:
             self._newest = seen
-            self._following.add(own.time, own.corners)
+            self._following.add(own.time, own)
             self._review(own.time)
         return seen
 
@@ -487,7 +488,8 @@ class Live:
         return replace(clock, offset=clock.offset - self._begin, stated=clock.stated - self._begin)
 
     def _seen(self) -> Seen:
-        return Seen(self.recording, self._frames.tracks(), self._log.rows.copy())
+        outline = outline_in(self._frames.frames, self._tracker.follower)
+        return Seen(self.recording, self._frames.tracks(), self._log.rows.copy(), outline)
 
     def _review(self, now: float) -> None:
         """Take what a review has found; begin the next one where it is due."""

@@ -14,12 +14,40 @@ from onebend.learning.parameters import STATED_ERRORS, Priors, Spline, make_layo
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.learner import OnlineLearner
 from onebend.progress import one_blas_thread
-from onebend.records import Array, BoolArray, Observations, covariance_with_camera
+from onebend.records import Array, BoolArray, Observations, covariance_with_camera, tags_among
 
+MOST_POINTS = 14  # of an outline, evenly along the body: more take longer and tell little more
 _MARGIN = 0.2  # s, kept away from contact when the rests are read
 _REST_STEP = 0.05  # s, between two looks at the log where no film was made
 _LONGER, _LEAST_DOUBT = 1.5, 0.1  # a filter makes memories alike: how much, by trial
 _FAST = 0.2  # of the force error that lasts: what it is off by in every frame anew
+
+
+def taken(observations: Observations) -> Observations:
+    """What the live learner takes: the tags or, of a body without tags, some points of its outline as tags of which no
+    angle is known. An error that the outline has in common in all frames counts as placement of these tags."""
+    o, tags = observations, np.flatnonzero(tags_among(observations))
+    if o.traced is None:
+        return o
+    m = len(o.marker_s)
+    kept = tags if len(tags) else np.unique(np.linspace(0, m - 1, MOST_POINTS).round().astype(np.int64))
+    covariance, rest_covariance = o.covariance[:, kept].copy(), o.rest_covariance[kept].copy()
+    for one in () if len(tags) else (covariance, rest_covariance):
+        one[..., 2, :] = one[..., :, 2] = 0.0
+        one[..., 2, 2] = 1.0  # rad^2
+    return replace(
+        o,
+        tag_id=o.tag_id[kept],
+        marker_s=o.marker_s[kept],
+        xy=o.xy[:, kept],
+        angle=o.angle[:, kept],
+        covariance=covariance,
+        rest_xy=o.rest_xy[kept],
+        rest_angle=o.rest_angle[kept],
+        rest_covariance=rest_covariance,
+        by_camera=None if o.by_camera is None else o.by_camera[:, kept],
+        traced=None,
+    )
 
 
 @one_blas_thread
@@ -37,7 +65,7 @@ def replay(
     Raises:
         LearningError: as `OnlineLearner`, or masses ride on the beam, which it does not know.
     """
-    o = observations
+    o = taken(observations)
     if o.stated.masses and np.any(o.gravity != 0.0):
         text = f"{o.source.name}: the live learner knows nothing of masses that ride on the beam"
         raise LearningError(f"{text} ([[beam.masses]]). Learn the recording as a whole")

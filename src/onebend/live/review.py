@@ -23,10 +23,11 @@ import numpy as np
 
 from onebend.errors import ObservationError, OnebendError
 from onebend.learning.start import start_of
+from onebend.live.body import NOT_SEEN, SeenOutline
 from onebend.live.history import FrameReader, reader_of
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.learner import OnlineLearner
-from onebend.live.replayed import replay
+from onebend.live.replayed import replay, taken
 from onebend.progress import interrupts_held, leave_interrupts_to_parent, one_blas_thread
 from onebend.recording.entries import Recording
 from onebend.recording.force import find_contact
@@ -35,7 +36,18 @@ from onebend.recording.observe import FEWEST_FRAMES, ObserveSettings, markers_of
 from onebend.recording.tags import BlockTracks, summary
 from onebend.recording.tool import SmallPictures, ToolPlace, tool_checked, tool_in_small
 from onebend.recording.tracks import with_angles
-from onebend.records import Array, BoolArray, ClockOffset, ForceLog, IntArray, Markers, Observations, Remark
+from onebend.records import (
+    Array,
+    BoolArray,
+    ClockOffset,
+    ForceLog,
+    IntArray,
+    Markers,
+    Observations,
+    Remark,
+    of_markers,
+    read_before_fit,
+)
 from onebend.report.sentences import say
 
 NO_TAGS = "no tag of recording.toml is in the picture"
@@ -51,6 +63,7 @@ class Seen:
     recording: Recording
     tracks: BlockTracks
     rows: Array  # (N, 3 or 4) of the force log
+    outline: SeenOutline | None = None  # of a body without tags
     small: SmallPictures | None = None  # in which the tool may show; None: it is not looked for
 
     @property
@@ -97,7 +110,10 @@ def _markers_in(seen: Seen) -> Markers:
     if len(tracks.time) < FEWEST_FRAMES:
         raise ObservationError(f"{len(tracks.time)} frames came so far; at least {FEWEST_FRAMES} are needed")
     tag_id = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
-    return markers_of(rec, summary(rec.video, rec.tags, tag_id, [tracks]))
+    found = summary(rec.video, rec.tags, tag_id, [tracks])
+    if seen.outline is None and not rec.tags.on_beam:
+        raise ObservationError(NOT_SEEN, about="outline")
+    return markers_of(rec, found, None if seen.outline is None else seen.outline.track)
 
 
 def log_of(rec: Recording, rows: Array) -> ForceLog | None:
@@ -125,7 +141,8 @@ def review(
     try:
         markers = _markers_in(seen)
         log = log_of(seen.recording, seen.rows)
-        moved = bool(find_contact(with_angles(markers), settings=observing.contact).loaded.any())
+        few = with_angles(of_markers(markers, read_before_fit(markers)))
+        moved = bool(find_contact(few, settings=observing.contact).loaded.any())
         if not moved:  # nothing else can be known yet
             return Reviewed(seen.until, NO_PUSH, remarks=markers.remarks)
         observed = observe_markers(seen.recording, markers, log, replace(observing, check_force=False))
@@ -147,7 +164,7 @@ def review(
         learner = replay(observed, start, gain_sd=observed.stated.gain_sd, settings=learning)
     except (OnebendError, np.linalg.LinAlgError) as error:
         return replace(known, why=str(error))
-    return replace(known, reader=reader_of(seen.recording, observed), learner=learner)
+    return replace(known, reader=reader_of(seen.recording, taken(observed), seen.outline), learner=learner)
 
 
 def known_clock(clock: ClockOffset | None) -> ClockOffset | None:

@@ -16,14 +16,14 @@ import numpy as np
 
 from onebend.errors import ObservationError, OnebendError, RecordingError
 from onebend.live import guidance
+from onebend.live.body import BodyFrame, BodyTracker
 from onebend.live.guidance import CaptureOutcome, CaptureSettings, CaptureState, Stages, Stop, TagView
 from onebend.live.live import Live
 from onebend.live.recording_folder import FilmWriter, Logs, Pump, RecordingPlaces, places_for, room_left, state_start
 from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame, HostClock, Samples, files_of, measurable
 from onebend.recording.entries import Recording
 from onebend.recording.force import read_log
-from onebend.recording.tags import Tracker
-from onebend.recording.video import Picture
+from onebend.recording.tags import TrackedFrame
 from onebend.records import Array
 from onebend.report.confidence import identified_ranges, typical_half_width
 from onebend.report.sentences import say
@@ -37,23 +37,23 @@ class Follower:
     def __init__(self, rec: Recording, settings: CaptureSettings) -> None:
         self.why = "" if settings.follow else "k(s) was not asked for"  # there is no k(s)
         self._rec, self._settings = rec, settings
-        ids = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
-        self._tracker = Tracker(ids, rec.tags.family)
+        self._tracker = BodyTracker(rec)
         self._live: Live | None = None
         self._narrowest = guidance.Widening()
 
     def look(self, frame: Frame) -> tuple[tuple[TagView, ...], list[str]]:
         """The tags of a picture before the film begins, and what is to be better."""
         try:
-            seen = self._tracker.step(frame.picture, frame.arrival)
+            seen = self._tracker.step(frame.picture, frame.arrival, frame.colour)
         except ObservationError as wrong:
             return (), [str(wrong)]
         views = guidance.tag_views(self._rec.tags, seen.corners)
-        return views, guidance.setup_advice(frame.picture, views, seen.strangers)
+        advice = guidance.setup_advice(frame.picture, views, seen.strangers)
+        return views, advice or ([self._tracker.why] if self._tracker.why else [])
 
     def begin(self, error: float) -> None:
         """The film begins, and its clock; that of the force is the same to `error` [s]."""
-        self._tracker = Tracker(self._tracker.tag_id, self._rec.tags.family)
+        self._tracker = BodyTracker(self._rec)
         if self._settings.follow:
             try:
                 self._live = Live(
@@ -62,13 +62,12 @@ class Follower:
             except RecordingError as wrong:
                 self.why = str(wrong)
 
-    def frame(self, picture: Picture, time: float) -> Array | None:
-        """(b + m, 4, 2) px, the tags of a picture of the film; None where it is of no use."""
+    def frame(self, frame: Frame, time: float) -> TrackedFrame | None:
+        """Tags, and the outline, in a picture of the film; None where it is of no use."""
         if self._live is not None:
-            seen = self._live.frame(picture, time)
-            return None if seen is None else seen.corners
+            return self._live.frame(frame.picture, time, frame.colour)
         try:
-            return self._tracker.step(picture, time).corners
+            return self._tracker.step(frame.picture, time, frame.colour)
         except ObservationError:
             return None
 
@@ -275,12 +274,11 @@ class _Session:
         self._written(self._most_unwritten)
         if self._too_late():
             self._state = replace(self._state, unfollowed=self._state.unfollowed + 1)
-        elif (corners := self._follower.frame(frame.picture, time)) is not None:
-            self._tags(frame, time, corners)
-            self._stages.update(time, corners)
-            self._state = replace(
-                self._state, picture=frame.picture, tags=guidance.tag_views(self._places.rec.tags, corners)
-            )
+        elif (seen := self._follower.frame(frame, time)) is not None:
+            self._tags(frame, time, seen.corners)
+            self._stages.update(time, seen.corners, seen.places if isinstance(seen, BodyFrame) else None)
+            views = guidance.tag_views(self._places.rec.tags, seen.corners)
+            self._state = replace(self._state, picture=frame.picture, tags=views)
         self._state = replace(self._state, seconds=time, frames=self._film.frames)
         if time > self._settings.longest:
             self._end("ended: longest", seconds=self._settings.longest)

@@ -267,6 +267,23 @@ def _fraction(colour: NDArray[np.float32], centre: IntArray, pixel_sd: Array) ->
     return np.asarray(STEP * ((1.0 - share) @ trapezoid - _HALF))
 
 
+@dataclass(frozen=True)
+class BodyPlace:
+    """Where the body is looked for: a plane, and places along the body."""
+
+    name: str  # of the recording
+    view: View  # of the base tag's plane and frame
+    stations: Stations
+    hidden: BoolArray  # (M,) stations that lie under tags
+    width: float  # m, near the clamp; NaN where it is not known
+
+    @property
+    def scale(self) -> float:
+        """px/m along the body as it would lie straight."""
+        ends = project(self.view, np.array([[0.0, 0.0], [self.stations.length, 0.0]]))
+        return float(np.linalg.norm(ends[1] - ends[0])) / self.stations.length
+
+
 # The first picture: the body is followed from the clamp to its tip.
 
 GROWS = 0.04  # of the length: how far ahead in one go
@@ -346,13 +363,13 @@ def appearance(sight: Sight, curve: Curve, half: Array, part: BoolArray, step: f
     return Look(np.maximum(spread, least), np.maximum(pixel, 1.0))
 
 
-def grown(sight: Sight, stations: Stations, hidden: BoolArray, name: str, width: float) -> OutlinedBody:
-    """The body in its first picture; `hidden` (M,) stations lie under tags, `width` m is what is known of the body's
-    near the clamp (NaN: nothing).
+def grown(sight: Sight, place: BodyPlace) -> OutlinedBody:
+    """The body in its first picture.
 
     Raises:
         ObservationError: no body is seen beside the clamp.
     """
+    stations, hidden, width = place.stations, place.hidden, place.width
     s, state = stations.s, np.zeros(1 + STATES)
     begin = float(s[np.argmin(hidden)])
     part = (s >= begin) & (s <= begin + FIRST) & ~hidden
@@ -367,8 +384,8 @@ def grown(sight: Sight, stations: Stations, hidden: BoolArray, name: str, width:
         body = refined(sight, stations, state, half, part, step, STIFF if front < 1.0 else 1.0)
         if body is None:
             raise ObservationError(
-                f"{name}: no body is seen beside the clamp: no two edges run along the base tag's direction. Check "
-                "length_m, size_m and the base tag's turn_deg, and that the body stands out from its background.",
+                f"{place.name}: no body is seen beside the clamp: no two edges run along the base tag's direction. "
+                "Check length_m, size_m and the base tag's turn_deg, and that the body stands out from its background.",
                 about="outline",
             )
         if front >= 1.0:

@@ -53,6 +53,7 @@ from onebend.records import (
     ForceLog,
     Markers,
     Observations,
+    OutlineTrack,
     Source,
     of_markers,
     read_before_fit,
@@ -149,9 +150,9 @@ def _shown(
     return tool_checked(rec, seen, base_angle, partial(tool_in_film, rec, every=every, kept=frames))
 
 
-def markers_of(rec: Recording, detections: Detections) -> Markers:
-    """The tags in metres, turned as recording.toml says."""
-    markers = measure_markers(detections, rec)
+def markers_of(rec: Recording, detections: Detections, outline: OutlineTrack | None = None) -> Markers:
+    """The tags in metres, turned as recording.toml says, and points of the outline in the same frames."""
+    markers = measure_markers(detections, rec, outline)
     check_turns(markers, rec)
     return markers
 

@@ -8,6 +8,7 @@ pictures, so what contradicts it (a tool, a shadow, a thing of the same colour, 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
@@ -31,6 +32,7 @@ from onebend.recording.flanks import (
     STATES,
     STEP,
     WIDEST,
+    BodyPlace,
     OutlinedBody,
     Sight,
     Stations,
@@ -64,56 +66,78 @@ class OutlineSearch:
     away: Array  # (T, 2, M) m, from these curves to the flanks; NaN where not seen
 
 
-def follow(
-    sights: Iterable[Sight], stations: Stations, hidden: BoolArray, name: str, width: float = math.nan
-) -> tuple[OutlineSearch, Array]:
-    """The flanks in consecutive pictures, and half the width (M,) m in the first of them. A picture in which the body
-    is lost has none; the next is searched near where the body was last, and near where it was first."""
-    states: list[Array] = []
-    found: list[Array] = []
-    seen: list[float] = []
-    body: OutlinedBody | None = None
-    before: tuple[Array, Array] | None = None
-    for sight in sights:
-        if body is None:
-            body = grown(sight, stations, hidden, name, width)
-        last, one_more = (body.state, body.state) if before is None else before
+def body_place(rec: Recording, view: View) -> BodyPlace:
+    """Where the body of a recording is looked for."""
+    alone = BodyPlace(rec.name, view, Stations(rec.beam.length, 2), np.zeros(2, dtype=bool), math.nan)
+    stations = Stations(
+        rec.beam.length, min(max(2 * POINTS, math.ceil(rec.beam.length * alone.scale / STATION)), STATIONS)
+    )
+    base, paper = rec.tags.on_base[0].s, PAPER * rec.tags.size / rec.beam.length
+    hidden = np.min([np.abs(stations.s - s) for s in (base, *(tag.s for tag in rec.tags.on_beam))], axis=0) < paper
+    width = math.nan if rec.outline is None else rec.outline.width
+    return replace(alone, stations=stations, hidden=hidden | (stations.s < base), width=width)
+
+
+class FlankFollower:
+    """Follows the flanks through consecutive pictures. A picture in which the body is lost shows none; the next is
+    searched near where the body was last, and near where it was first."""
+
+    def __init__(self, place: BodyPlace) -> None:
+        self.place = place
+        self.body: OutlinedBody | None = None  # in the first picture
+        self._seen: deque[float] = deque(maxlen=USUAL)
+        self._before: tuple[Array, Array] | None = None
+
+    def step(self, sight: Sight) -> tuple[Array, Array]:
+        """(1 + K,) numbers of the curve along which the flanks were looked for, and (2, M) m from it to them.
+
+        Raises:
+            ObservationError: the first picture shows no body beside the clamp.
+        """
+        body = self.body = self.body or grown(sight, self.place)
+        last, one_more = (body.state, body.state) if self._before is None else self._before
+        least = LOST * (float(np.median(self._seen)) if self._seen else 0.0)
         best: tuple[float, Array, Array, Array] | None = None
         for start in (2.0 * last - one_more, last, body.state):
-            tried = _near(sight, stations, hidden, body, start)
+            tried = _near(sight, self.place, body, start)
             best = tried if best is None or tried[0] > best[0] else best
-            if best[0] > LOST * (np.median(seen[-USUAL:]) if seen else 0.0):
+            if best[0] > least:
                 break
         assert best is not None
         share, state, away, new = best
-        there = share > LOST * (np.median(seen[-USUAL:]) if seen else 0.0)
-        before = (new, last) if there and before is not None else (new, new) if there else (last, last)
-        seen += [share] if there else []
-        states.append(state)
-        found.append(away if there else np.full_like(away, np.nan))
-    assert body is not None
-    return OutlineSearch(np.stack(states), np.stack(found)), body.half
+        if not share > least:
+            self._before = last, last
+            return state, np.full_like(away, np.nan)
+        self._before = (new, new) if self._before is None else (new, last)
+        self._seen.append(share)
+        return state, away
 
 
-def each_alone(
-    sights: Iterable[Sight], stations: Stations, hidden: BoolArray, name: str, width: float = math.nan
-) -> tuple[OutlineSearch, Array]:
+def follow(sights: Iterable[Sight], place: BodyPlace) -> tuple[OutlineSearch, Array]:
+    """The flanks in consecutive pictures, and half the width (M,) m in the first of them."""
+    follower = FlankFollower(place)
+    state, away = zip(*(follower.step(sight) for sight in sights), strict=True)
+    assert follower.body is not None
+    return OutlineSearch(np.stack(state), np.stack(away)), follower.body.half
+
+
+def each_alone(sights: Iterable[Sight], place: BodyPlace) -> tuple[OutlineSearch, Array]:
     """As `follow`, of pictures that have nothing to do with each other."""
-    tried = [_alone(one, stations, hidden, name, width) for one in sights]
+    tried = [_alone(one, place) for one in sights]
     half = np.median([body.half for body, _ in tried], axis=0)
     return OutlineSearch(np.stack([body.state for body, _ in tried]), np.stack([away for _, away in tried])), half
 
 
-def _alone(sight: Sight, stations: Stations, hidden: BoolArray, name: str, width: float) -> tuple[OutlinedBody, Array]:
-    body = grown(sight, stations, hidden, name, width)
-    return body, np.where(hidden, np.nan, find_flanks(sight, stations.curve(body.state), body.half, body.look))
+def _alone(sight: Sight, place: BodyPlace) -> tuple[OutlinedBody, Array]:
+    body = grown(sight, place)
+    away = find_flanks(sight, place.stations.curve(body.state), body.half, body.look)
+    return body, np.where(place.hidden, np.nan, away)
 
 
-def _near(
-    sight: Sight, stations: Stations, hidden: BoolArray, body: OutlinedBody, state: Array
-) -> tuple[float, Array, Array, Array]:
+def _near(sight: Sight, place: BodyPlace, body: OutlinedBody, state: Array) -> tuple[float, Array, Array, Array]:
     """Near the curve of `state`: the share of the stations that show both flanks as wide apart as the body is, the
     curve (1 + K,) that the flanks were looked for along, they (2, M) m from it, and the curve between them."""
+    stations, hidden = place.stations, place.hidden
     sd = MEASURED / float(np.median(sight.outward(stations.curve(state))[1]))
     for _ in range(3):
         curve = stations.curve(state)
@@ -348,13 +372,7 @@ def outline_track(
         RecordingError: the film cannot be read.
         ObservationError: no body is seen beside the clamp, or it is lost.
     """
-    ends = project(view, np.array([[0.0, 0.0], [rec.beam.length, 0.0]]))
-    scale = float(np.linalg.norm(ends[1] - ends[0])) / rec.beam.length  # px/m
-    stations = Stations(rec.beam.length, min(max(2 * POINTS, math.ceil(rec.beam.length * scale / STATION)), STATIONS))
-    base = rec.tags.on_base[0].s
-    paper = PAPER * rec.tags.size / rec.beam.length
-    hidden = np.min([np.abs(stations.s - s) for s in (base, *(tag.s for tag in rec.tags.on_beam))], axis=0) < paper
-    hidden |= stations.s < base
+    place = body_place(rec, view)
     shift = corners.mean(axis=2) - nan_median(corners.mean(axis=2))
     shift = nan_mean(np.moveaxis(shift, 1, 0))
     known = np.isfinite(shift[:, 0])
@@ -367,16 +385,24 @@ def outline_track(
             if index in wanted:
                 yield Sight(planes_of(rec, index, raw), view, shift[wanted[index]])
 
-    width = math.nan if rec.outline is None else rec.outline.width
     if tags is not None:
-        found, half = with_tags(sights(), stations, hidden, tags)
+        found, half = with_tags(sights(), place.stations, place.hidden, tags)
     else:
-        seek = each_alone if apart else follow
-        found, half = seek(sights(), stations, hidden, rec.name, width)
-    middle = centreline(found, stations, half, MEASURED / scale)
-    refuse_lost(middle, found, ~hidden, rec.name)
-    out = often_seen(points_of(middle, found, stations, view, shift, scale))
-    return replace(out, remarks=lost_remarks(found))
+        found, half = (each_alone if apart else follow)(sights(), place)
+    return track_of(place, found, half, shift)
+
+
+def track_of(place: BodyPlace, found: OutlineSearch, half: Array, shift: Array) -> OutlineTrack:
+    """The centreline of the body whose flanks were found in T pictures that lie `shift` (T, 2) px off the view's;
+    `half` (M,) m of its width in the first of them.
+
+    Raises:
+        ObservationError: what was followed is no body of one width from clamp to tip.
+    """
+    middle = centreline(found, place.stations, half, MEASURED / place.scale)
+    refuse_lost(middle, found, ~place.hidden, place.name)
+    points = points_of(middle, found, place.stations, place.view, shift, place.scale)
+    return replace(often_seen(points), remarks=lost_remarks(found))
 
 
 # Beside tags the outline is used only where it agrees with them. A tag may sit beside the middle of the body, by its

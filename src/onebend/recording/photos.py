@@ -26,6 +26,7 @@ from onebend.recording.flanks import (
     PAPER,
     STATES,
     STEP,
+    BodyPlace,
     Curve,
     OutlinedBody,
     Planes,
@@ -385,7 +386,8 @@ def found_in(rec: Recording, picture: str, image: Image.Image, view: View, click
     s, name, width = stations.s, f"{rec.name}: {picture}", math.nan if rec.outline is None else rec.outline.width
     if clicks is None:
         hidden = s < rec.tags.on_base[0].s + PAPER * rec.tags.size / length
-        return FoundBody(name, sight, smaller, stations, ~hidden, grown(sight, stations, hidden, name, width))
+        place = BodyPlace(name, sight.view, stations, hidden, width)
+        return FoundBody(name, sight, smaller, stations, ~hidden, grown(sight, place))
     end = STATION * smaller / long  # an edge that ends there is none
     shown = (s > end) & (s < clicks.s - end)
     state = through(stations, to_plane(view, clicks.px), clicks.s)

@@ -1,0 +1,153 @@
+"""What each picture of a camera shows of the body: its tags or, of a body without tags, its outline."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from onebend.errors import ObservationError
+from onebend.recording.camera import Poses, drop, measure_markers, points_in_plane
+from onebend.recording.entries import Recording
+from onebend.recording.flanks import MEASURED, BodyPlace, Planes, Sight, planes_of
+from onebend.recording.outline import (
+    PLACES,
+    FlankFollower,
+    OutlineSearch,
+    body_place,
+    body_width,
+    centreline,
+    points_of,
+    track_of,
+)
+from onebend.recording.tags import TrackedFrame, Tracker
+from onebend.recording.video import Picture
+from onebend.records import Array, Detections, IntArray, OutlineTrack, View
+
+AGAIN = 0.5  # s after which a body that was not found is looked for again
+SHOWN = (1.0 / 3.0, 2.0 / 3.0, 1.0)  # s of the points that say how far the body moved
+NOT_SEEN = "the outline of the body is not seen"
+
+
+@dataclass(frozen=True)
+class OutlineSighting:
+    """The flanks in one picture, as of `FlankFollower.step`."""
+
+    state: Array  # (1 + K,)
+    away: Array  # (2, M) m; NaN where the body was lost
+    shift: Array  # (2,) px, of the picture against the one in which the body was found
+
+
+@dataclass(frozen=True)
+class BodyFrame(TrackedFrame):
+    """The tags of the base and the outline in one picture."""
+
+    outline: OutlineSighting | None = None  # None: it was not found yet
+    places: Array | None = None  # (3, 2) of `SHOWN`, over the body's length; NaN where it was lost
+
+
+class BodyTracker:
+    """Follows tags and outline through the pictures of one camera. Not thread-safe."""
+
+    def __init__(self, rec: Recording) -> None:
+        self.why = "" if rec.tags.on_beam else NOT_SEEN  # there is no outline in the newest picture
+        self.follower: FlankFollower | None = None
+        self._rec, self._next, self._corners = rec, -np.inf, np.empty(0)
+        self._tags = Tracker([tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)], rec.tags.family)
+
+    @property
+    def kept(self) -> int:
+        """As of `Tracker`."""
+        return self._tags.kept
+
+    def step(self, picture: Picture, time: float, colour: Any = None) -> TrackedFrame:
+        """As `Tracker.step`; `colour`: the same picture as `av.VideoFrame`, where there is more than grey."""
+        seen = self._tags.step(picture, time)
+        if self._rec.tags.on_beam:
+            return seen
+        planes = (
+            Planes(picture, np.full((2, 2, 2), 128, np.uint8)) if colour is None else planes_of(self._rec, 0, colour)
+        )
+        outline = self._outline(planes, seen)
+        places = None
+        if outline is not None and self.follower is not None:
+            stations = self.follower.place.stations
+            curve = stations.curve(outline.state).xy / stations.length
+            places = np.stack([np.interp(SHOWN, stations.s, column) for column in curve.T], axis=1)
+            places = np.where(np.isfinite(outline.away).any(), places, np.nan)
+        return BodyFrame(**vars(seen), outline=outline, places=places)
+
+    def _outline(self, planes: Planes, seen: TrackedFrame) -> OutlineSighting | None:
+        if not np.isfinite(seen.corners).any() or (self.follower is None and seen.time < self._next):
+            return None
+        try:
+            if self.follower is None:
+                self._next = seen.time + AGAIN
+                height, width = seen.shape
+                tag_id = np.array([tag.id for tag in self._rec.tags.on_base])
+                found = Detections(np.array([seen.time]), tag_id, seen.corners[None], width, height)
+                view = measure_markers(found, self._rec).view
+                assert view is not None
+                self.follower, self._corners = FlankFollower(body_place(self._rec, view)), seen.corners
+            shift = np.nan_to_num(np.nanmean(seen.corners - self._corners, axis=(0, 1)))
+            state, away = self.follower.step(Sight(planes, self.follower.place.view, shift))
+        except ObservationError as wrong:
+            self.follower, self.why = None, str(wrong).removeprefix(f"{self._rec.name}: ")
+            return None
+        self.why = "" if np.isfinite(away).any() else NOT_SEEN
+        return OutlineSighting(state, away, shift)
+
+
+@dataclass(frozen=True)
+class SeenOutline:
+    """The outline in T frames."""
+
+    place: BodyPlace
+    half: Array  # (M,) m, half the width where the body was found
+    found: OutlineSearch
+    shift: Array  # (T, 2) px
+
+    @property
+    def track(self) -> OutlineTrack:
+        """Its points. Raises `ObservationError` where what was followed is no body."""
+        return track_of(self.place, self.found, self.half, self.shift)
+
+
+def outline_in(frames: Iterable[TrackedFrame], follower: FlankFollower | None) -> SeenOutline | None:
+    """The outline in these frames; None where it was never found."""
+    if follower is None or follower.body is None:
+        return None
+    nothing = OutlineSighting(follower.body.state, np.full((2, follower.place.stations.count), np.nan), np.zeros(2))
+    every = [one.outline if isinstance(one, BodyFrame) and one.outline is not None else nothing for one in frames]
+    state, away, shift = (np.stack([getattr(one, name) for one in every]) for name in ("state", "away", "shift"))
+    return SeenOutline(follower.place, follower.body.half, OutlineSearch(state, away), shift)
+
+
+@dataclass(frozen=True)
+class PointReader:
+    """What turns the flanks in a frame into points of the body."""
+
+    place: BodyPlace
+    half: Array  # (M,) m
+    kept: IntArray  # (n,) which of `PLACES`
+    covariance: Array  # (n, 3, 3) of a point in one frame
+
+    def poses(self, view: View, seen: OutlineSighting | None) -> Poses:
+        """(1, n) points in the view's plane; NaN where they were not seen."""
+        stations, scale, n = self.place.stations, self.place.scale, len(self.kept)
+        if seen is None or not np.isfinite(seen.away).any():
+            return Poses(np.full((1, n, 2), np.nan), np.full((1, n), np.nan), self.covariance[None])
+        found = OutlineSearch(seen.state[None], seen.away[None])
+        middle = centreline(found, stations, self.half, MEASURED / scale)
+        track = points_of(middle, found, stations, self.place.view, seen.shift[None], scale)
+        poses = points_in_plane(view, track)
+        poses = drop(poses, ~np.isfinite(track.sd))
+        return Poses(poses.xy[:, self.kept], poses.angle[:, self.kept], self.covariance[None])
+
+
+def point_reader(outline: SeenOutline, s: Array, covariance: Array) -> PointReader:
+    """The reader of points at `s` (n,), of these covariances (n, 3, 3) [m^2, rad^2]."""
+    width, _ = body_width(outline.found.away, outline.half)
+    return PointReader(outline.place, 0.5 * width, np.searchsorted(PLACES, s - 1e-9), covariance)

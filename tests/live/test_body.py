@@ -1,0 +1,116 @@
+"""A body without tags on it, followed live by its outline."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from onebend.live.body import NOT_SEEN, BodyFrame, BodyTracker
+from onebend.live.guidance import CaptureSettings, Stages
+from onebend.live.live import Live, LiveSettings
+from onebend.live.review import observed_in
+from onebend.recording.camera import to_plane
+from onebend.recording.entries import Recording
+from onebend.recording.video import FilmFrame, Picture
+from onebend.records import Array
+from tests.live.disturbed import play
+from tests.live.followed import follow
+from tests.live.streamed import BEAM, DURATION, OFFSET, described, force_at, log
+from tests.recording.filmed import HEIGHT, LENGTH, WIDTH, picture, view
+
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
+FPS, HALF_WIDTH, LEVEL = 12.0, 0.006, 205.0
+S = np.linspace(0.1, 0.9, 30)
+
+
+def bare() -> Recording:
+    """What recording.toml would say of a body with a tag at its clamp alone."""
+    rec = described()
+    return replace(rec, tags=replace(rec.tags, on_beam=()))
+
+
+@cache
+def ground() -> tuple[Array, Array]:
+    """The picture without a body, and the places (H W, 2) m of its pixels."""
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH].astype(float)
+    return picture(np.zeros((1, 3)), [0], view()), to_plane(view(), np.stack([columns, rows], axis=-1).reshape(-1, 2))
+
+
+def painted(middle: Array | None, seed: int) -> Picture:
+    """A picture of a body with this middle line (n, 2) m."""
+    empty, xy = ground()
+    mean = empty.copy()
+    if middle is not None:
+        away, _ = cKDTree(middle).query(xy, distance_upper_bound=2.0 * HALF_WIDTH)
+        body = np.clip(0.5 + (HALF_WIDTH - away) * WIDTH / 0.26, 0.0, 1.0).reshape(HEIGHT, WIDTH)
+        body[np.hypot(*xy.T).reshape(HEIGHT, WIDTH) < 0.012] = 0.0  # the tag lies on it
+        mean = (1.0 - body) * empty + body * LEVEL
+    noise = 1.5 * np.random.default_rng(seed).standard_normal(mean.shape)
+    return np.clip(np.rint(mean + noise), 0, 255).astype(np.uint8)
+
+
+@cache
+def frames() -> tuple[FilmFrame, ...]:
+    """The push of `streamed`, of a body without tags."""
+    time = np.arange(0.0, DURATION, 1.0 / FPS)
+    lines = BEAM.equilibrium(force_at(time)).xy(np.linspace(0.0, 1.0, 400))
+    return tuple(FilmFrame(t, float(at), painted(lines[t], t)) for t, at in enumerate(time))
+
+
+@cache
+def followed() -> Live:
+    live = Live(bare(), settings=LiveSettings(first_review=4.0, review_growth=2.0), beside=False)
+    follow(live, play(frames(), log(), OFFSET))
+    return live
+
+
+def test_k_is_learned_from_the_outline() -> None:
+    state = followed().state()
+    assert state.stiffness is not None, state.waiting
+    band = state.stiffness.band(S)
+    assert np.mean((band.low <= 0.02) & (band.high >= 0.02)) > 0.9
+    assert np.sqrt(np.mean((band.k / 0.02 - 1.0) ** 2)) < 0.15
+    assert state.counts.learned_frames > 4  # one by one, after the review
+
+
+def test_what_is_reviewed_is_what_a_film_of_it_shows() -> None:
+    """Points of the outline at the true places, to parts of a pixel of 0.4 mm."""
+    seen = observed_in(followed()._seen())
+    assert seen.traced is not None
+    assert seen.traced.all()
+    true = BEAM.equilibrium(force_at(seen.time - OFFSET)).xy(seen.marker_s)
+    slope = np.gradient(true, axis=1)
+    normal = np.stack([-slope[..., 1], slope[..., 0]], axis=-1) / np.linalg.norm(slope, axis=-1, keepdims=True)
+    across = np.sum((seen.xy - true) * normal, axis=-1)
+    moved = across - np.nanmean(across[seen.time - OFFSET < 1.0], axis=0)
+    assert np.nanmedian(np.abs(moved)) < 0.1e-3
+
+
+def test_places_tell_how_far_the_body_moved() -> None:
+    tracker, stages = BodyTracker(bare()), Stages(bare(), CaptureSettings(rest=0.5, tare=0.3), forced=False)
+    for one in frames():
+        seen = tracker.step(one.luma, one.time)
+        assert isinstance(seen, BodyFrame)
+        stages.update(one.time, seen.corners, seen.places)
+    tip = BEAM.equilibrium(force_at(np.array([0.5 * DURATION]))).xy(np.ones(1))[0, 0] / LENGTH
+    assert stages.largest == pytest.approx(float(np.hypot(tip[0] - 1.0, tip[1])), abs=0.01)
+    assert stages.stage == "last rest"
+
+
+def test_a_picture_without_the_body_says_so() -> None:
+    tracker = BodyTracker(bare())
+    assert tracker.why == NOT_SEEN
+    assert getattr(tracker.step(painted(None, 1), 0.0), "outline", 1) is None
+    assert "no body is seen beside the clamp" in tracker.why
+    line = BEAM.equilibrium(force_at(np.zeros(1))).xy(np.linspace(0.0, 1.0, 400))[0]
+    tracker.step(painted(line, 2), 0.1)
+    assert tracker.follower is None  # it is looked for again after a while
+    tracker.step(painted(line, 3), 1.0)
+    assert tracker.why == ""
+    tracker.step(painted(None, 4), 1.1)
+    assert tracker.why == NOT_SEEN
