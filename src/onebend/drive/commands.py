@@ -28,7 +28,7 @@ from onebend.errors import RecordingError
 from onebend.live.commands import StateView
 from onebend.live.recording_folder import copy_description
 from onebend.options import option
-from onebend.progress import Progress, Silent, real_time
+from onebend.progress import Progress, Silent
 from onebend.recording.entries import Recording
 from onebend.recording.folder import FILE_NAME, folder_of, read_recording
 
@@ -79,7 +79,6 @@ def drive(
         if made is None:
             raise RecordingError("--robot is missing: which one is to move? See docs/drive.md.")
         with (
-            real_time(),  # of the view's thread as well
             common.stopped_by_hand(times=2) as (stop, enter),
             StateView(
                 None if quiet or as_json else common.stderr_screen(), _screen, lambda one: (one.says, one.says)

@@ -2,6 +2,7 @@
 
     waiting -> driving -> staying -> (driving ...) -> returning -> resting -> done
                    any of these, at a fault or a stop -> holding -> releasing -> resting -> done
+                   where pictures, answers or turns were only late -> holding -> the same stage again
 
 To the recorder it is a force sensor: each reading is one turn of the loop and gives a row of the log. So a drive is
 recorded as any push is, and a played clock plays it as it would go in real time.
@@ -29,7 +30,7 @@ from onebend.drive.robots import ArmState, Robot, ToolForce, ToolPose
 from onebend.drive.seeing import BentModel, DelayMeter, Eye, SeenBeam, point_between
 from onebend.errors import OnebendError
 from onebend.live.force_sensors import TOOL, WRENCH
-from onebend.live.sources import Clock, End, ForceSource, Frame, Samples
+from onebend.live.sources import Clock, End, ForceSource, Frame, Samples, StampTiming
 from onebend.recording.entries import Recording
 from onebend.recording.video import Picture
 from onebend.records import Array
@@ -47,7 +48,9 @@ SETTLING = 0.5  # s for which the point must stay on its goal
 NEAR_START = 0.005  # m by which the tool may be off the beam's place where it is to touch
 THIN = (5e-4, math.radians(0.5))  # m and rad between places of the way that is walked back
 PATIENCE = 1.0  # s for which a silent robot is waited for, in hold
-MOST_HOLDS = 3  # of one drive; then the robot is left where it stands
+CALM, LONGEST_PAUSE = 0.25, 5.0  # s of pictures and answers in time, before it goes on; for which it waits for that
+MOST_PAUSES = 20  # of one drive
+MOST_HOLDS = 3  # of one drive, beside the pauses; then the robot is left where it stands
 AFTER_FAULT = 1.0  # s of rest behind a release
 
 
@@ -107,6 +110,7 @@ class Drive:
         self.state, self.outcomes = DriveState(), list[GoalOutcome]()
         self.latency: list[float] = []  # s from a picture's arrival to the command that it led to
         self.turns: list[float] = []  # s that each turn took
+        self.pauses: list[float] = []  # s of each
         self.meter = DelayMeter(plan.settings.delay)
         self._robot, self._rec, self._sensor, self._watch = robot, rec, sensor, watch
         self._period, self._settings, self._limits = 1.0 / plan.settings.rate, plan.settings, plan.limits
@@ -143,12 +147,15 @@ class Drive:
         self._next = self._turned = -math.inf
         self._answered = self._sighted = self._entered = self._goal_begun = math.inf
         self._pictured = -math.inf  # arrival of the newest picture that is not the one before
+        self._way_here = math.inf  # s, the shortest from a picture's stamp to its arrival
         self._changed, self._same_at_rest = math.inf, 0.0
         self._film_begun, self._film = math.nan, (math.nan, math.nan)  # arrival and film time of the newest picture
         self._refused, self._camera_why, self._refused_by = "", "", ""
         self._doubted, self._told_state = 0, -math.inf
         self._settled = self._stop = False
         self._trouble, self._holds = False, 0
+        self._paused: tuple[Stage, str] | None = None  # what it does as soon as nothing is late any more; what was
+        self._late_at = self._in_time_at = -math.inf  # when something last was late, and nothing was
 
     # To the recorder: a force sensor that is read turn by turn.
 
@@ -213,14 +220,15 @@ class Drive:
 
     # Pictures, from the threads of the camera and of the recorder.
 
-    def came(self, frame: Frame) -> None:
-        """The camera gave a picture."""
+    def came(self, frame: Frame, timing: StampTiming) -> Frame:
+        """The camera gave a picture: the same, which arrived when its stamp says that it should have, if it tells."""
+        if timing.host and math.isfinite(frame.stamp):
+            self._way_here = min(self._way_here, frame.arrival - frame.stamp)
+            frame = replace(frame, arrival=frame.stamp + self._way_here)
         coarse = frame.picture[::8, ::8]
-        if self._coarse is None or not np.array_equal(coarse, self._coarse):
-            self._coarse, self._pictured = (
-                coarse.copy(),
-                frame.arrival,
-            )  # a camera that hangs shows the same noise again
+        if self._coarse is None or not np.array_equal(coarse, self._coarse):  # one that hangs shows its noise again
+            self._coarse, self._pictured = coarse.copy(), frame.arrival
+        return frame
 
     def see(self, frame: Frame, time: float, corners: Array) -> None:
         """A picture of the film at `time` [s], and its corners (b + m, 4, 2) px."""
@@ -288,21 +296,25 @@ class Drive:
             return nothing
 
     def _turn(self, now: float) -> Samples | None:
-        late, self._turned = now - self._turned, now
+        slow, self._turned = now - self._turned, now
         self._ask(now)
         rows = self._feel(now)
         seen = self._newest(now)
-        trouble = self._wrong(now, late)
+        late = self._late(now, slow)
+        trouble = late or self._wrong()
         if self._stop:
             self._stop = False
-            if self.stage in ("holding", "releasing"):
+            if self._paused is not None:
+                self._paused = None
+                self._say("holds: stopped by hand")
+            elif self.stage in ("holding", "releasing"):
                 self._end(now, "let go at once, as asked")
             elif self.stage != "waiting":
                 self._halt(now, "stopped by hand", fault=False)
             else:
                 self._end(now, "stopped by hand")
         elif trouble:
-            self._halt(now, trouble, fault=True)
+            self._halt(now, trouble, fault=True, passes=bool(late))
         try:
             self._act(now, seen)
         except Exception as wrong:  # each package has errors of its own
@@ -378,16 +390,15 @@ class Drive:
             newest = self._seen.popleft()
         if newest is None:
             return None
-        waited = now - newest.arrival
-        self._refused = f"pictures wait {1e3 * waited:.0f} ms" if waited > SILENCE else self._unlikely(newest)
-        if self._refused:
+        self._refused = self._unlikely(newest)
+        if self._refused or now - newest.arrival > SILENCE:
             return None
         self._sighted, self._before = now, newest
         return newest
 
     def _unlikely(self, seen: SeenBeam) -> str:
         """Why what a picture shows cannot be; empty where it can."""
-        if self.stage not in LED:
+        if self._doing not in LED:
             return ""
         point, _ = self._point(seen)
         if not np.isfinite(point).all():
@@ -422,25 +433,44 @@ class Drive:
 
     # What is watched.
 
-    def _wrong(self, now: float, late: float) -> str:
+    @property
+    def _doing(self) -> Stage:
+        """The stage, or that in which it pauses."""
+        return self.stage if self._paused is None else self._paused[0]
+
+    def _late(self, now: float, slow: float) -> str:
+        """What is late, in words: it may pass; `slow` [s]: since the last turn began. Empty where nothing is."""
+        late, led = "", self._doing in LED and not self._camera_why
+        if self._doing not in GOING:
+            pass
+        elif slow > SLOW_LOOP:
+            late = f"one turn of the loop took {1e3 * slow:.0f} ms: this computer is busy"
+        elif now - self._answered > SILENCE:
+            late = f"{self.name} answers no more{self._refused_by}"
+        elif led and now - self._pictured > SILENCE:
+            late = f"no new picture came for {1e3 * (now - self._pictured):.0f} ms: the camera hangs, or is cut off"
+        elif led and now - self._sighted > SILENCE and not self._refused:
+            late = f"pictures wait {1e3 * (now - self._sighted):.0f} ms: this computer is busy"
+        if late or self._refused:
+            self._late_at = now
+        elif self._paused is not None:
+            self._in_time_at = now
+        return late
+
+    def _wrong(self) -> str:
         """What is wrong, in words; empty where nothing is."""
         if self.stage not in GOING:
             return ""
-        if late > SLOW_LOOP:
-            return f"one turn of the loop took {1e3 * late:.0f} ms"
-        if now - self._answered > SILENCE:
-            return f"{self.name} answers no more{self._refused_by}"
         if self.stage != "releasing" and (soon := self._force_soon()) > (limit := self._limits.force):
             return f"{soon:.3g} N will be on the beam in {1e3 * AHEAD:.0f} ms, and {limit:.3g} N are allowed"
-        return self._wrong_while_led(now) if self.stage in LED else ""
+        return self._wrong_while_led() if self.stage in LED else ""
 
-    def _wrong_while_led(self, now: float) -> str:
+    def _wrong_while_led(self) -> str:
+        now = self._turned
         if self._camera_why:
             return self._camera_why
-        if now - self._pictured > SILENCE:
-            return f"no new picture came for {1e3 * (now - self._pictured):.0f} ms: the camera hangs, or is cut off"
         if now - self._sighted > SILENCE:
-            return f"the point is not seen any more: {self._refused or 'its tags are hidden'}"
+            return f"the point is not seen any more: {self._refused}"
         if now - self._changed > max(SILENCE, 3.0 * self._same_at_rest):
             return "the force sensor is stuck: it gives the same number again and again"
         if (longest := self._settings.longest_delay) < self.meter.delay - 2.0 * self.meter.sd:
@@ -631,40 +661,58 @@ class Drive:
 
     # Holding, releasing, coming back.
 
-    def _halt(self, now: float, why: str, *, fault: bool) -> None:
-        """Hold at once; the release comes after."""
+    def _halt(self, now: float, why: str, *, fault: bool, passes: bool = False) -> None:
+        """Hold at once; the release comes after, or where it `passes` it goes on."""
         if self.stage in ("holding", "resting", "done"):
             return
         if self.stage == "waiting":
             self._trouble |= fault
             self._end(now, why)
             return
-        self._trouble, self._holds = self._trouble | fault, self._holds + 1
+        pauses = passes and len(self.pauses) < MOST_PAUSES
+        self._paused = (self.stage, why) if pauses else None
+        self._holds += not pauses
         if self._holds > MOST_HOLDS:
+            self._trouble |= fault
             self._end(now, f"{why}: for the {self._holds}th time, and it is left where it stands")
             return
         try:
             self._robot.hold()
         except Exception as wrong:  # each package has errors of its own
             why += f"; and it does not take the order to hold ({wrong})"
-        self._say(f"holds: {why}", fault=fault)
+        self._say(f"holds: {why}", fault=fault and not pauses)
         self._enter("holding", now)
 
     def _held(self, now: float) -> None:
-        silent = now - self._answered
+        silent, waited = now - self._answered, now - self._entered
         if silent > SILENCE:
             if silent > PATIENCE:
-                self._end(now, f"{self.name} stays silent: it stops by itself. Look at it before you touch the beam")
+                self._trouble = True
+                self._end(now, f"{self.name} answers no more: it stops by itself. Look at it before you touch the beam")
             return
-        if now - self._entered >= self._settings.hold:
+        if self._paused is not None and now - self._late_at > CALM:
+            self._resume(now, *self._paused)
+        elif now - max(self._entered, self._in_time_at) >= self._settings.hold or waited >= LONGEST_PAUSE:
             self._go_back(now, "releasing")
+
+    def _resume(self, now: float, stage: Stage, why: str) -> None:
+        """Go on with what it did; the way to the goal had no time meanwhile."""
+        pause, self._paused, self._doubted = now - self._entered, None, 0
+        self.pauses.append(pause)
+        self._say(f"goes on after {pause:.1f} s")
+        if self._loop is not None:
+            self._loop = replace(self._loop, began=self._loop.began + pause, frame_at=now)
+        self._goal_begun += pause
+        self._errors.clear()
+        self._enter(stage, now)
 
     def _go_back(self, now: float, stage: Stage) -> None:
         assert self._arm is not None
         if self._settings.by == "force":
             self._robot.hold()
         self._told = self._arm.pose if stage == "releasing" or self._settings.by == "force" else self._told
-        self._say("releases slowly" if stage == "releasing" else "goes back")
+        late, self._paused = "" if self._paused is None else f": {self._paused[1]}", None
+        self._say(f"releases slowly{late}" if stage == "releasing" else "goes back", fault=bool(late))
         self._enter(stage, now)
 
     def _walk_back(self, now: float) -> None:

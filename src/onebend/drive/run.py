@@ -79,7 +79,7 @@ class _Watched:
         if not self._ended:
             got = self._camera.read(wait)
             if isinstance(got, Frame):
-                self._drive.came(got)
+                got = self._drive.came(got, self.timing)
             if not isinstance(got, End) or self._drive.stage == "waiting":
                 return got
             self._ended = True
@@ -126,7 +126,7 @@ def drive(
     pressed = [False]
     settings = CaptureSettings(
         ends=False, setup=setup, share=0.0, rest=plan.settings.rest, follow=plan.settings.learn, overwrite=overwrite,
-        longest=1e5, live_beside=beside, live=LiveSettings(),
+        longest=1e5, live_beside=beside, live=LiveSettings(), most_waiting=0,
     )  # fmt: skip
     try:
         with real_time() if clock is None else nullcontext():

@@ -20,6 +20,7 @@ from onebend.live.guidance import CaptureOutcome, CaptureSettings, CaptureState,
 from onebend.live.live import Live
 from onebend.live.recording_folder import FilmWriter, Logs, Pump, RecordingPlaces, places_for, room_left, state_start
 from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame, HostClock, Samples, files_of, measurable
+from onebend.progress import leave_real_time
 from onebend.recording.entries import Recording
 from onebend.recording.pairing import read_log
 from onebend.recording.tags import Tracker
@@ -159,7 +160,7 @@ class _Session:
             camera.timing, None if force is None else force.timing, () if force is None else force.columns
         )
         self._film: FilmWriter | None = None
-        self._encoder = ThreadPoolExecutor(1, "film")  # neither tags nor force wait for it
+        self._encoder = ThreadPoolExecutor(1, "film", leave_real_time)  # neither tags nor force wait for it
         self._unwritten: deque[Future[bool]] = deque()
         self._most_unwritten = 0 if self._pump.at_will else MOST_UNWRITTEN
         self._stages = Stages(places.rec, settings, forced=force is not None)
