@@ -49,7 +49,8 @@ NEAR_START = 0.005  # m by which the tool may be off the beam's place where it i
 THIN = (5e-4, math.radians(0.5))  # m and rad between places of the way that is walked back
 PATIENCE = 1.0  # s for which a silent robot is waited for, in hold
 CALM, LONGEST_PAUSE = 0.25, 5.0  # s of pictures and answers in time, before it goes on; for which it waits for that
-MOST_PAUSES = 20  # of one drive
+MOST_PAUSES = 20  # of one drive, on its way out
+MOST_LATE = 0.2  # of the turns at rest: where more are late nothing moves
 MOST_HOLDS = 3  # of one drive, beside the pauses; then the robot is left where it stands
 AFTER_FAULT = 1.0  # s of rest behind a release
 
@@ -132,7 +133,7 @@ class Drive:
         self._renewed: tuple[Controller, BentModel] | None = None
         self._asked, self._felt, self._tare = np.zeros(2), np.full(2, np.nan), np.zeros(2)
         self._raw: list[Array] = []  # (2,) N of the rest
-        self._lately: deque[Array] = deque(maxlen=LATELY)
+        self._lately: deque[Array] = deque(maxlen=LATELY)  # (3,) N, N, s: what was felt, and when
         self._seen: deque[SeenBeam] = deque()  # from the thread of `see`
         self._shapes: deque[tuple[float, Array]] = deque()  # what the model had at its places
         self._errors: deque[tuple[float, Array]] = deque()
@@ -156,6 +157,7 @@ class Drive:
         self._trouble, self._holds = False, 0
         self._paused: tuple[Stage, str] | None = None  # what it does as soon as nothing is late any more; what was
         self._late_at = self._in_time_at = -math.inf  # when something last was late, and nothing was
+        self._late_at_rest: list[bool] = []  # of the turns
 
     # To the recorder: a force sensor that is read turn by turn.
 
@@ -250,6 +252,11 @@ class Drive:
                 raise OnebendError(
                     f"in {self._settings.rest:.3g} s of rest all tags were seen in {self.eye.rested} pictures, and the "
                     f"force came {len(self._raw)} times: look at onebend record first"
+                )
+            if (late := float(np.mean(self._late_at_rest))) > MOST_LATE:
+                raise OnebendError(
+                    f"at rest, {100.0 * late:.0f} % of the time pictures or answers were more than "
+                    f"{1e3 * SILENCE:.0f} ms late. End other programs, or let this one be scheduled in real time"
                 )
             self.eye.settle((shape[0], shape[1]), self.plan.gravity)
             self._place = self._placed()
@@ -380,7 +387,7 @@ class Drive:
             self._raw = [raw]
             assert self.eye.reader is not None
             self._felt = self.eye.reader.to_beam.T @ raw - self._tare
-            self._lately.append(self._felt)
+            self._lately.append(np.append(self._felt, now))
         return rows
 
     def _newest(self, now: float) -> SeenBeam | None:
@@ -442,7 +449,8 @@ class Drive:
         """What is late, in words: it may pass; `slow` [s]: since the last turn began. Empty where nothing is."""
         late, led = "", self._doing in LED and not self._camera_why
         if self._doing not in GOING:
-            pass
+            if not math.isnan(self._film_begun):
+                self._late_at_rest.append(slow > SLOW_LOOP or now - min(self._answered, self._pictured) > SILENCE)
         elif slow > SLOW_LOOP:
             late = f"one turn of the loop took {1e3 * slow:.0f} ms: this computer is busy"
         elif now - self._answered > SILENCE:
@@ -488,9 +496,9 @@ class Drive:
         """N that will be on the beam when an order to hold has been obeyed: the newest force and its trend."""
         if len(self._lately) < LATELY:
             return 0.0
-        size = np.hypot(*np.array(self._lately).T)
-        times = self._period * (np.arange(LATELY) - 0.5 * (LATELY - 1))
-        trend = float(times @ size) / float(times @ times)
+        x, y, time = np.array(self._lately).T
+        size, since = np.hypot(x, y), time - time.mean()
+        trend = float(since @ size) / float(since @ since)
         return float(size[-IN_A_ROW:].mean()) + AHEAD * max(trend, 0.0)
 
     def _force_doubt(self) -> float:
@@ -501,7 +509,7 @@ class Drive:
         force."""
         if not np.isfinite(self._felt).all():
             return 0.0
-        force, best = np.mean([*self._lately][-IN_A_ROW:], axis=0), math.inf
+        force, best = np.mean([*self._lately][-IN_A_ROW:], axis=0)[:2], math.inf
         for factor in _FACTORS:
             k_off = math.log(factor) / self._k_sd
             best = min(best, math.hypot(k_off, self._place_doubt(factor * force)))
@@ -669,7 +677,7 @@ class Drive:
             self._trouble |= fault
             self._end(now, why)
             return
-        pauses = passes and len(self.pauses) < MOST_PAUSES
+        pauses = passes and (len(self.pauses) < MOST_PAUSES or self.stage not in LED)
         self._paused = (self.stage, why) if pauses else None
         self._holds += not pauses
         if self._holds > MOST_HOLDS:
