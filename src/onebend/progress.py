@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache, wraps
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
 
 if TYPE_CHECKING:
@@ -135,7 +136,7 @@ def real_time() -> Iterator[None]:
 
 def _threads() -> list[int]:
     """All of this process, as Linux numbers them."""
-    return [int(name) for name in os.listdir("/proc/self/task")] if os.path.isdir("/proc/self/task") else []
+    return [int(one.name) for one in Path("/proc/self/task").glob("*")]
 
 
 def _schedule(wanted: tuple[int, int, int], others: list[int]) -> bool:
@@ -150,7 +151,7 @@ def _schedule(wanted: tuple[int, int, int], others: list[int]) -> bool:
     nice = os.getpriority(os.PRIO_PROCESS, 0)
     asked = struct.pack("=IIQiIQQQ", 48, policy, 0, nice, priority, slice_ns, 0, 0)  # struct sched_attr
     call = ctypes.CDLL(None).syscall  # sched_setattr, which neither Python nor older C libraries have
-    granted = call(call_number, 0, asked, 0) == 0
+    granted = bool(call(call_number, 0, asked, 0) == 0)
     for one in others if granted else ():
         call(call_number, one, asked, 0)  # one that has just ended needs none
     return granted

@@ -96,6 +96,18 @@ class DriveState:
         return float(np.linalg.norm(self.point - self.goal))
 
 
+@dataclass
+class Lateness:
+    """What of pictures, answers and turns of the loop was late."""
+
+    paused: tuple[Stage, str] | None = None  # the stage that goes on as soon as nothing is late any more; what was
+    pauses: list[float] = field(default_factory=list)  # s of each
+    last: float = -math.inf  # s, when something was
+    in_time: float = -math.inf  # s, when nothing was
+    at_rest: list[bool] = field(default_factory=list)  # whether something was, in each turn
+    way_here: float = math.inf  # s, the shortest from a picture's stamp to its arrival
+
+
 class Drive:
     """A plan, a robot and an eye. `read` turns the loop; `see` takes pictures, from another thread."""
 
@@ -111,7 +123,6 @@ class Drive:
         self.state, self.outcomes = DriveState(), list[GoalOutcome]()
         self.latency: list[float] = []  # s from a picture's arrival to the command that it led to
         self.turns: list[float] = []  # s that each turn took
-        self.pauses: list[float] = []  # s of each
         self.meter = DelayMeter(plan.settings.delay)
         self._robot, self._rec, self._sensor, self._watch = robot, rec, sensor, watch
         self._period, self._settings, self._limits = 1.0 / plan.settings.rate, plan.settings, plan.limits
@@ -145,19 +156,15 @@ class Drive:
         self._before: SeenBeam | None = None
         self._coarse: Picture | None = None
         self._clock: Clock | None = None
-        self._next = self._turned = -math.inf
-        self._answered = self._sighted = self._entered = self._goal_begun = math.inf
+        self._next = self._turned = self._told_state = -math.inf
         self._pictured = -math.inf  # arrival of the newest picture that is not the one before
-        self._way_here = math.inf  # s, the shortest from a picture's stamp to its arrival
-        self._changed, self._same_at_rest = math.inf, 0.0
+        self._answered = self._sighted = self._entered = self._goal_begun = self._changed = math.inf
+        self._same_at_rest = 0.0
         self._film_begun, self._film = math.nan, (math.nan, math.nan)  # arrival and film time of the newest picture
         self._refused, self._camera_why, self._refused_by = "", "", ""
-        self._doubted, self._told_state = 0, -math.inf
-        self._settled = self._stop = False
-        self._trouble, self._holds = False, 0
-        self._paused: tuple[Stage, str] | None = None  # what it does as soon as nothing is late any more; what was
-        self._late_at = self._in_time_at = -math.inf  # when something last was late, and nothing was
-        self._late_at_rest: list[bool] = []  # of the turns
+        self._settled = self._stop = self._trouble = False
+        self._doubted = self._holds = 0
+        self.lateness = Lateness()
 
     # To the recorder: a force sensor that is read turn by turn.
 
@@ -225,8 +232,8 @@ class Drive:
     def came(self, frame: Frame, timing: StampTiming) -> Frame:
         """The camera gave a picture: the same, which arrived when its stamp says that it should have, if it tells."""
         if timing.host and math.isfinite(frame.stamp):
-            self._way_here = min(self._way_here, frame.arrival - frame.stamp)
-            frame = replace(frame, arrival=frame.stamp + self._way_here)
+            self.lateness.way_here = min(self.lateness.way_here, frame.arrival - frame.stamp)
+            frame = replace(frame, arrival=frame.stamp + self.lateness.way_here)
         coarse = frame.picture[::8, ::8]
         if self._coarse is None or not np.array_equal(coarse, self._coarse):  # one that hangs shows its noise again
             self._coarse, self._pictured = coarse.copy(), frame.arrival
@@ -253,7 +260,7 @@ class Drive:
                     f"in {self._settings.rest:.3g} s of rest all tags were seen in {self.eye.rested} pictures, and the "
                     f"force came {len(self._raw)} times: look at onebend record first"
                 )
-            if (late := float(np.mean(self._late_at_rest))) > MOST_LATE:
+            if (late := float(np.mean(self.lateness.at_rest))) > MOST_LATE:
                 raise OnebendError(
                     f"at rest, {100.0 * late:.0f} % of the time pictures or answers were more than "
                     f"{1e3 * SILENCE:.0f} ms late. End other programs, or let this one be scheduled in real time"
@@ -311,8 +318,8 @@ class Drive:
         trouble = late or self._wrong()
         if self._stop:
             self._stop = False
-            if self._paused is not None:
-                self._paused = None
+            if self.lateness.paused is not None:
+                self.lateness.paused = None
                 self._say("holds: stopped by hand")
             elif self.stage in ("holding", "releasing"):
                 self._end(now, "let go at once, as asked")
@@ -443,14 +450,14 @@ class Drive:
     @property
     def _doing(self) -> Stage:
         """The stage, or that in which it pauses."""
-        return self.stage if self._paused is None else self._paused[0]
+        return self.stage if self.lateness.paused is None else self.lateness.paused[0]
 
     def _late(self, now: float, slow: float) -> str:
         """What is late, in words: it may pass; `slow` [s]: since the last turn began. Empty where nothing is."""
         late, led = "", self._doing in LED and not self._camera_why
         if self._doing not in GOING:
             if not math.isnan(self._film_begun):
-                self._late_at_rest.append(slow > SLOW_LOOP or now - min(self._answered, self._pictured) > SILENCE)
+                self.lateness.at_rest.append(slow > SLOW_LOOP or now - min(self._answered, self._pictured) > SILENCE)
         elif slow > SLOW_LOOP:
             late = f"one turn of the loop took {1e3 * slow:.0f} ms: this computer is busy"
         elif now - self._answered > SILENCE:
@@ -460,9 +467,9 @@ class Drive:
         elif led and now - self._sighted > SILENCE and not self._refused:
             late = f"pictures wait {1e3 * (now - self._sighted):.0f} ms: this computer is busy"
         if late or self._refused:
-            self._late_at = now
-        elif self._paused is not None:
-            self._in_time_at = now
+            self.lateness.last = now
+        elif self.lateness.paused is not None:
+            self.lateness.in_time = now
         return late
 
     def _wrong(self) -> str:
@@ -677,8 +684,8 @@ class Drive:
             self._trouble |= fault
             self._end(now, why)
             return
-        pauses = passes and (len(self.pauses) < MOST_PAUSES or self.stage not in LED)
-        self._paused = (self.stage, why) if pauses else None
+        pauses = passes and (len(self.lateness.pauses) < MOST_PAUSES or self.stage not in LED)
+        self.lateness.paused = (self.stage, why) if pauses else None
         self._holds += not pauses
         if self._holds > MOST_HOLDS:
             self._trouble |= fault
@@ -698,15 +705,15 @@ class Drive:
                 self._trouble = True
                 self._end(now, f"{self.name} answers no more: it stops by itself. Look at it before you touch the beam")
             return
-        if self._paused is not None and now - self._late_at > CALM:
-            self._resume(now, *self._paused)
-        elif now - max(self._entered, self._in_time_at) >= self._settings.hold or waited >= LONGEST_PAUSE:
+        if self.lateness.paused is not None and now - self.lateness.last > CALM:
+            self._resume(now, self.lateness.paused[0])
+        elif now - max(self._entered, self.lateness.in_time) >= self._settings.hold or waited >= LONGEST_PAUSE:
             self._go_back(now, "releasing")
 
-    def _resume(self, now: float, stage: Stage, why: str) -> None:
+    def _resume(self, now: float, stage: Stage) -> None:
         """Go on with what it did; the way to the goal had no time meanwhile."""
-        pause, self._paused, self._doubted = now - self._entered, None, 0
-        self.pauses.append(pause)
+        pause, self.lateness.paused, self._doubted = now - self._entered, None, 0
+        self.lateness.pauses.append(pause)
         self._say(f"goes on after {pause:.1f} s")
         if self._loop is not None:
             self._loop = replace(self._loop, began=self._loop.began + pause, frame_at=now)
@@ -719,7 +726,7 @@ class Drive:
         if self._settings.by == "force":
             self._robot.hold()
         self._told = self._arm.pose if stage == "releasing" or self._settings.by == "force" else self._told
-        late, self._paused = "" if self._paused is None else f": {self._paused[1]}", None
+        late, self.lateness.paused = "" if self.lateness.paused is None else f": {self.lateness.paused[1]}", None
         self._say(f"releases slowly{late}" if stage == "releasing" else "goes back", fault=bool(late))
         self._enter(stage, now)
 
@@ -797,7 +804,7 @@ class Drive:
         (control, model), self._renewed = self._renewed, None
         if not np.allclose(control.goal, self._control.goal):
             return
-        stiffer = mean_ratio(control.beam, self._control.beam)
+        stiffer = mean_ratio(control.beam, self._control.beam, self.plan.push_s)
         wanted = stiffer * self._asked
         if not model.bend(wanted):
             return
@@ -837,7 +844,15 @@ def way_between(here: ToolPose, there: ToolPose) -> float:
     return max(float(np.linalg.norm(there.position - here.position)), ARM * turn)
 
 
-def mean_ratio(beam: Beam, other: Beam) -> float:
-    """The geometric mean over s of k of one over that of the other."""
-    s = np.linspace(0.0, 1.0, 41)
-    return float(np.exp(np.mean(np.log(np.asarray(beam.stiffness(s)) / np.asarray(other.stiffness(s))))))
+def bending_weights(push_s: float) -> tuple[Array, Array]:
+    """(S,) places s and weights, whose sum is 1: how much each counts when a force across the straight beam at `push_s`
+    bends it."""
+    s = push_s * np.linspace(0.0, 1.0, 41)
+    weights = (push_s - s) ** 2
+    return s, weights / weights.sum()
+
+
+def mean_ratio(beam: Beam, other: Beam, push_s: float) -> float:
+    """The geometric mean over s of k of one over that of the other, with `bending_weights`."""
+    s, weights = bending_weights(push_s)
+    return float(np.exp(weights @ np.log(np.asarray(beam.stiffness(s)) / np.asarray(other.stiffness(s)))))

@@ -5,30 +5,33 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
+from multiprocessing.queues import Queue
 from pathlib import Path
+from queue import Empty
 from typing import Any
 
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import UncertainStiffness
-from onebend.control.loop import Controller, ControllerSettings, controller
-from onebend.drive.machine import Drive, DriveState, mean_ratio
+from onebend.control.loop import Controller, controller
+from onebend.drive.machine import Drive, DriveState, bending_weights, mean_ratio
 from onebend.drive.plan import DrivePlan, plan_data
 from onebend.drive.robots import Robot
 from onebend.errors import OnebendError, RecordingError
 from onebend.files.single_file import write_file
 from onebend.live.guidance import CaptureOutcome, CaptureSettings, CaptureState, Stop
-from onebend.live.live import LiveSettings
+from onebend.live.live import Live
 from onebend.live.recording_folder import GrowingTable, with_values
-from onebend.live.session import record
+from onebend.live.session import Follower, record
 from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame
 from onebend.progress import interrupts_held, leave_interrupts_to_parent, real_time
+from onebend.recording.entries import Recording
 from onebend.recording.folder import FILE_NAME, read_recording
+from onebend.recording.tags import TrackedFrame
+from onebend.recording.video import Picture
 from onebend.records import Array
 from onebend.text_files import MOST_TOML, read_text, to_json
 
@@ -38,7 +41,7 @@ COLUMNS = (
     *("tool_x_m", "tool_y_m", "delay_s"),
 )
 _FORMATS = ("%.6f", "%d", *("%.7g",) * 10)
-LEARNED_CHANGE = 0.03  # of k, on average: less is not worth a new plan
+LEARNED_CHANGE = 0.03  # of k, on average: less, or less than 2 sd, is not worth a new plan
 LEARNED_EVERY = 3.0  # s
 
 
@@ -110,29 +113,28 @@ def drive(
     rec = read_recording(folder, filmed=False)
     made = Drive(plan, robot, rec, sensor, watch)
     over, table = threading.Event(), _DriveTable(folder / TABLE, made, overwrite=overwrite)
-    learner = Renewer(made, beside=beside) if plan.settings.learn else None
+    learner = Renewer(made, beside=beside) if plan.settings.learn else None  # not scheduled in real time
 
     def now_and_then(state: CaptureState) -> None:
         was, pressed[0] = pressed[0], stop is not None and stop.is_set()
         if pressed[0] and not was:
             made.stop()
-        if learner is not None and state.stiffness is not None and state.live is not None:
-            learner.learned(
-                state.stiffness, doubtful=state.live.verdict.grade == "not to be trusted", now=state.seconds
-            )
+        if learner is not None:
+            learner.look(state.seconds)
         if made.over:
             over.set()
 
     pressed = [False]
     settings = CaptureSettings(
-        ends=False, setup=setup, share=0.0, rest=plan.settings.rest, follow=plan.settings.learn, overwrite=overwrite,
-        longest=1e5, live_beside=beside, live=LiveSettings(), most_waiting=0,
+        ends=False, setup=setup, share=0.0, rest=plan.settings.rest, follow=False, overwrite=overwrite,
+        longest=1e5, most_waiting=0,
     )  # fmt: skip
     try:
         with real_time() if clock is None else nullcontext():
             recorded = record(
-                folder, _Watched(camera, made), made, settings, now_and_then, over, clock=clock, tags=table.see
-            )
+                folder, _Watched(camera, made), made, settings, now_and_then, over, clock=clock, tags=table.see,
+                follower=Follower if learner is None else learner.follower,
+            )  # fmt: skip
     finally:
         table.close()
         if learner is not None:
@@ -176,6 +178,7 @@ def drive_data(plan: DrivePlan, made: Drive) -> dict[str, Any]:
         "delay_sd_s": made.meter.sd,
         "picture_to_command_s": _middle_and_worst(latency),
         "turn_s": _middle_and_worst(turns),
+        "pauses_s": made.lateness.pauses,
     }
 
 
@@ -213,53 +216,126 @@ class _DriveTable:
             self._table.close()
 
 
-# A controller of k(s) as it is learned while driving, made by a process beside this one: it takes a second or two.
+# k(s), learned while driving from what the tags and the sensor show, and a new controller by it. All of it is done in a
+# process beside this one: it takes seconds at a time.
+
+_Lead = tuple[Array, Array, Beam]  # a goal (2,) m, the force (2,) N that is asked for now, and the beam it is by
 
 
-def renewed_controller(
-    beam: Beam, goal: Array, start: Array, where: dict[str, Any], settings: ControllerSettings
-) -> Controller | None:
-    """The loop to the goal from the force `start`; None where this beam cannot be led there."""
-    try:
-        return controller(beam, goal, start=start, settings=settings, **where)
-    except OnebendError:
-        return None
+class _Learner:
+    """k(s) so far, and controllers by it."""
+
+    def __init__(self, plan: DrivePlan) -> None:
+        self._plan = plan
+        self._live: Live | None = None
+
+    def begin(self, rec: Recording, error: float) -> None:
+        """The film begins; the clock of the force is the same to `error` [s]."""
+        self._live = Live(rec, clock=(0.0, error), beside=False)
+
+    def frame(self, seen: TrackedFrame) -> None:
+        assert self._live is not None
+        self._live.tracked(seen)
+
+    def force(self, time: Array, force: Array, place: Array | None) -> None:
+        assert self._live is not None
+        self._live.force(time, force, place)
+
+    def renewed(self, lead: _Lead) -> Controller | None:
+        """The loop to the same goal by k(s) as it is known now; None where it is not known to be another, or where
+        this beam cannot be led there."""
+        known = self._live and self._live.state()
+        if not known or known.stiffness is None or known.verdict.grade == "not to be trusted":
+            return None
+        (goal, force, old), plan, control = lead, self._plan, self._plan.goals[0].control
+        beam = replace(old, stiffness=known.stiffness.profile)
+        stiffer = mean_ratio(beam, old, plan.push_s)
+        s, weights = bending_weights(plan.push_s)
+        sd = math.sqrt(weights @ known.stiffness.log_covariance(s) @ weights + known.stiffness.gain_sd**2)
+        if abs(math.log(stiffer)) < max(LEARNED_CHANGE, 2.0 * sd):
+            return None
+        try:
+            return controller(
+                beam, goal, push_s=plan.push_s, point_s=plan.point_s, gravity=plan.gravity, start=stiffer * force,
+                settings=replace(control.settings, gains=control.gains),
+            )  # fmt: skip
+        except OnebendError:
+            return None
 
 
 class Renewer:
-    """Plans anew when k(s) is known better."""
+    """Tells a learner what is seen and felt, and the drive how to go on."""
 
     def __init__(self, made: Drive, *, beside: bool) -> None:
-        self._drive, self._beside, self._next = made, beside, 0.0
-        self._pool: ProcessPoolExecutor | None = None
-        self._coming: Future[Controller | None] | None = None
+        """`beside`: in a process of its own."""
+        self._drive, self._next = made, 0.0
+        self._learner = None if beside else _Learner(made.plan)
+        context = get_context("spawn")
+        self._told, self._made = context.Queue(), context.Queue()  # a thread fills them: no turn waits
+        self._coming = False
+        if beside:
+            self._process = context.Process(target=_learn, args=(made.plan, self._told, self._made), daemon=True)
+            with interrupts_held():
+                self._process.start()
 
-    def learned(self, known: UncertainStiffness, *, doubtful: bool, now: float) -> None:
-        """k(s) as it is known at `now` [s]."""
-        if self._coming is not None and self._coming.done():
-            coming, self._coming = self._coming, None
-            if coming.exception() is None and (made := coming.result()) is not None:
-                self._drive.renew(made)
+    def tell(self, what: str, *values: object) -> None:
+        """One of the learner's methods, and its arguments."""
+        if self._learner is None:
+            self._told.put((what, values))
+        elif (made := getattr(self._learner, what)(*values)) is not None:
+            self._drive.renew(made)
+
+    def look(self, now: float) -> None:
+        """Take what was made, and ask for more; `now` [s]."""
+        with suppress(Empty):
+            while self._coming:
+                made = self._made.get_nowait()
+                self._coming = False
+                if made is not None:
+                    self._drive.renew(made)
         lead = self._drive.leads_to
-        if doubtful or lead is None or self._coming is not None or now < self._next:
-            return
-        goal, force, old = lead
-        beam = replace(old, stiffness=known.profile)
-        if abs(math.log(mean_ratio(beam, old))) < LEARNED_CHANGE:
-            return
-        self._next = now + LEARNED_EVERY
-        plan, control = self._drive.plan, self._drive.plan.goals[0].control
-        where = {"push_s": plan.push_s, "point_s": plan.point_s, "gravity": plan.gravity}
-        asked = (beam, goal, mean_ratio(beam, old) * force, where, replace(control.settings, gains=control.gains))
-        if not self._beside:
-            self._coming = Future()
-            self._coming.set_result(renewed_controller(*asked))
-            return
-        if self._pool is None:
-            self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=leave_interrupts_to_parent)
-        with interrupts_held():
-            self._coming = self._pool.submit(renewed_controller, *asked)
+        if lead is not None and not self._coming and now >= self._next:
+            self._next, self._coming = now + LEARNED_EVERY, self._learner is None
+            self.tell("renewed", lead)
+
+    def follower(self, rec: Recording, settings: CaptureSettings) -> Follower:
+        """What follows the recording."""
+        return _Telling(rec, settings, self.tell)
 
     def close(self) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(wait=False, cancel_futures=True)
+        if self._learner is None:
+            self._told.cancel_join_thread()
+            self._process.kill()
+
+
+class _Telling(Follower):
+    """Finds the tags, and tells."""
+
+    def __init__(self, rec: Recording, settings: CaptureSettings, tell: Callable[..., None]) -> None:
+        super().__init__(rec, settings)
+        self._tell = tell
+
+    def begin(self, error: float) -> None:
+        super().begin(error)
+        self._tell("begin", self.rec, error)
+
+    def seen(self, picture: Picture, time: float) -> TrackedFrame | None:
+        seen = super().seen(picture, time)
+        if seen is not None:
+            self._tell("frame", seen)
+        return seen
+
+    def force(self, time: Array, force: Array, place: Array | None) -> None:
+        if len(time):
+            self._tell("force", time, force, place)
+
+
+def _learn(plan: DrivePlan, told: Queue[tuple[str, tuple[Any, ...]]], made: Queue[Controller | None]) -> None:
+    """The process."""
+    leave_interrupts_to_parent()
+    learner = _Learner(plan)
+    while True:
+        what, values = told.get()
+        answer = getattr(learner, what)(*values)
+        if what == "renewed":
+            made.put(answer)

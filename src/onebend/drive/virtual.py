@@ -349,7 +349,8 @@ class _Film:
 
     def buffer(self, number: int) -> Picture:
         """(H, W) of a picture."""
-        return np.frombuffer(self.bytes, np.uint8).reshape(_BUFFERS, self.height, -1)[number % _BUFFERS]
+        every: Picture = np.frombuffer(self.bytes, np.uint8).reshape(_BUFFERS, self.height, -1)
+        return every[number % _BUFFERS]
 
 
 class VirtualCamera:
