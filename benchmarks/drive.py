@@ -263,7 +263,8 @@ def fault_rows(found: dict[str, Any]) -> Iterable[str]:
     yield (
         f"{len(every)} faults: {sum(one['hold'] <= LATE + 1e-9 for one in every)} held within 100 ms, "
         f"{sum(one['force'] <= 1.05 for one in every)} kept the force within 105 % of its limit (largest "
-        f"{max(one['force'] for one in every):.2f}), {sum(one['ended'] for one in every)} ended as a fault and let go, or went on after a slow turn, "
+        f"{max(one['force'] for one in every):.2f}), {sum(one['ended'] for one in every)} ended as a fault and let go, "
+        "or went on after a slow turn, "
         f"{sum(map(right, every))} said the right thing, "
         f"{sum(not one['whole'].startswith('refused') for one in every)} left a recording that can be observed."
     )

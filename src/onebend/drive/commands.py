@@ -191,8 +191,8 @@ def _answer(outcome: DriveOutcome, *, data_alone: bool) -> None:
             common.say(f"({x:.4g}, {y:.4g}) mm: {word}, seen {off:.2g} mm off{said}")
         if pauses := made.lateness.pauses:
             common.say(
-                f"It paused {len(pauses)} times, {sum(pauses):.1f} s in all: pictures, answers or turns of the loop were "
-                "late. On a busy computer end other programs, or see docs/drive.md on real-time scheduling."
+                f"It paused {len(pauses)} times, {sum(pauses):.1f} s in all: pictures, answers or turns of the loop "
+                "were late. On a busy computer end other programs, or see docs/drive.md on real-time scheduling."
             )
         learning = made.plan.remarks or (f"learn from it with: onebend learn {folder}",)
         common.say(f"Recorded {folder}; {learning[0]}")

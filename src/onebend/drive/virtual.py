@@ -349,8 +349,8 @@ class _Film:
 
     def buffer(self, number: int) -> Picture:
         """(H, W) of a picture."""
-        every: Picture = np.frombuffer(self.bytes, np.uint8).reshape(_BUFFERS, self.height, -1)
-        return every[number % _BUFFERS]
+        buffers = np.frombuffer(self.bytes, np.uint8).reshape(_BUFFERS, self.height, -1)
+        return np.asarray(buffers[number % _BUFFERS])
 
 
 class VirtualCamera:
