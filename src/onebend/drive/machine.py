@@ -106,6 +106,7 @@ class Lateness:
     in_time: float = -math.inf  # s, when nothing was
     at_rest: list[bool] = field(default_factory=list)  # whether something was, in each turn
     way_here: float = math.inf  # s, the shortest from a picture's stamp to its arrival
+    waited: float = 0.0  # s, the longest beyond that since the last pause
 
 
 class Drive:
@@ -233,7 +234,9 @@ class Drive:
         """The camera gave a picture: the same, which arrived when its stamp says that it should have, if it tells."""
         if timing.host and math.isfinite(frame.stamp):
             self.lateness.way_here = min(self.lateness.way_here, frame.arrival - frame.stamp)
-            frame = replace(frame, arrival=frame.stamp + self.lateness.way_here)
+            due = frame.stamp + self.lateness.way_here
+            self.lateness.waited = max(self.lateness.waited, frame.arrival - due)
+            frame = replace(frame, arrival=due)
         coarse = frame.picture[::8, ::8]
         if self._coarse is None or not np.array_equal(coarse, self._coarse):  # one that hangs shows its noise again
             self._coarse, self._pictured = coarse.copy(), frame.arrival
@@ -714,7 +717,8 @@ class Drive:
         """Go on with what it did; the way to the goal had no time meanwhile."""
         pause, self.lateness.paused, self._doubted = now - self._entered, None, 0
         self.lateness.pauses.append(pause)
-        self._say(f"goes on after {pause:.1f} s")
+        busy, self.lateness.waited = self.lateness.waited > 0.5 * SILENCE, 0.0
+        self._say(f"goes on after {pause:.1f} s{': pictures had waited, as this computer was busy' if busy else ''}")
         if self._loop is not None:
             self._loop = replace(self._loop, began=self._loop.began + pause, frame_at=now)
         self._goal_begun += pause

@@ -319,8 +319,8 @@ class _Telling(Follower):
         super().begin(error)
         self._tell("begin", self.rec, error)
 
-    def seen(self, picture: Picture, time: float) -> TrackedFrame | None:
-        seen = super().seen(picture, time)
+    def frame(self, picture: Picture, time: float) -> TrackedFrame | None:
+        seen = super().frame(picture, time)
         if seen is not None:
             self._tell("frame", seen)
         return seen

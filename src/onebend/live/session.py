@@ -63,13 +63,8 @@ class Follower:
             except RecordingError as wrong:
                 self.why = str(wrong)
 
-    def frame(self, picture: Picture, time: float) -> Array | None:
-        """(b + m, 4, 2) px, the tags of a picture of the film; None where it is of no use."""
-        seen = self.seen(picture, time)
-        return None if seen is None else seen.corners
-
-    def seen(self, picture: Picture, time: float) -> TrackedFrame | None:
-        """The same, and all that is known of them."""
+    def frame(self, picture: Picture, time: float) -> TrackedFrame | None:
+        """The tags of a picture of the film; None where it is of no use."""
         if self._live is not None:
             return self._live.frame(picture, time)
         try:
@@ -283,7 +278,8 @@ class _Session:
         self._written(self._most_unwritten)
         if self._too_late():
             self._state = replace(self._state, unfollowed=self._state.unfollowed + 1)
-        elif (corners := self._follower.frame(frame.picture, time)) is not None:
+        elif (seen := self._follower.frame(frame.picture, time)) is not None:
+            corners = seen.corners
             self._tags(frame, time, corners)
             self._stages.update(time, corners)
             self._state = replace(
