@@ -23,7 +23,7 @@ from onebend.drive.robots import Robot
 from onebend.errors import OnebendError, RecordingError
 from onebend.files.single_file import write_file
 from onebend.live.guidance import CaptureOutcome, CaptureSettings, CaptureState, Stop
-from onebend.live.live import Live
+from onebend.live.live import Live, LiveSettings
 from onebend.live.recording_folder import GrowingTable, with_values
 from onebend.live.session import Follower, record
 from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame
@@ -219,6 +219,7 @@ class _DriveTable:
 # k(s), learned while driving from what the tags and the sensor show, and a new controller by it. All of it is done in a
 # process beside this one: it takes seconds at a time.
 
+_REVIEWS = LiveSettings(least_apart=3.0, review_growth=1.5)  # for some seconds each no frame is learned from
 _Lead = tuple[Array, Array, Beam]  # a goal (2,) m, the force (2,) N that is asked for now, and the beam it is by
 
 
@@ -231,7 +232,7 @@ class _Learner:
 
     def begin(self, rec: Recording, error: float) -> None:
         """The film begins; the clock of the force is the same to `error` [s]."""
-        self._live = Live(rec, clock=(0.0, error), beside=False)
+        self._live = Live(rec, clock=(0.0, error), settings=_REVIEWS, beside=False)
 
     def frame(self, seen: TrackedFrame) -> None:
         assert self._live is not None
