@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
+from multiprocessing.process import BaseProcess
 from multiprocessing.queues import Queue
 from pathlib import Path
 from queue import Empty
@@ -113,7 +114,6 @@ def drive(
     rec = read_recording(folder, filmed=False)
     made = Drive(plan, robot, rec, sensor, watch)
     over, table = threading.Event(), _DriveTable(folder / TABLE, made, overwrite=overwrite)
-    learner = Renewer(made, beside=beside) if plan.settings.learn else None  # not scheduled in real time
 
     def now_and_then(state: CaptureState) -> None:
         was, pressed[0] = pressed[0], stop is not None and stop.is_set()
@@ -129,11 +129,12 @@ def drive(
         ends=False, setup=setup, share=0.0, rest=plan.settings.rest, follow=False, overwrite=overwrite,
         longest=1e5, most_waiting=0,
     )  # fmt: skip
+    learner = Renewer(made, rec, settings, beside=beside) if plan.settings.learn else None
     try:
         with real_time() if clock is None else nullcontext():
             recorded = record(
                 folder, _Watched(camera, made), made, settings, now_and_then, over, clock=clock, tags=table.see,
-                follower=Follower if learner is None else learner.follower,
+                follower=learner,
             )  # fmt: skip
     finally:
         table.close()
@@ -220,35 +221,22 @@ class _DriveTable:
 # process beside this one: it takes seconds at a time.
 
 _REVIEWS = LiveSettings(least_apart=3.0, review_growth=1.5)  # for some seconds each no frame is learned from
-_Lead = tuple[Array, Array, Beam]  # a goal (2,) m, the force (2,) N that is asked for now, and the beam it is by
 
 
 class _Learner:
     """k(s) so far, and controllers by it."""
 
-    def __init__(self, plan: DrivePlan) -> None:
+    def __init__(self, plan: DrivePlan, rec: Recording, error: float) -> None:
+        """The clock of the force is that of the film to `error` [s]."""
+        self.live = Live(rec, clock=(0.0, error), settings=_REVIEWS, beside=False)
         self._plan = plan
-        self._live: Live | None = None
 
-    def begin(self, rec: Recording, error: float) -> None:
-        """The film begins; the clock of the force is the same to `error` [s]."""
-        self._live = Live(rec, clock=(0.0, error), settings=_REVIEWS, beside=False)
-
-    def frame(self, seen: TrackedFrame) -> None:
-        assert self._live is not None
-        self._live.tracked(seen)
-
-    def force(self, time: Array, force: Array, place: Array | None) -> None:
-        assert self._live is not None
-        self._live.force(time, force, place)
-
-    def renewed(self, lead: _Lead) -> Controller | None:
-        """The loop to the same goal by k(s) as it is known now; None where it is not known to be another, or where
-        this beam cannot be led there."""
-        known = self._live and self._live.state()
-        if not known or known.stiffness is None or known.verdict.grade == "not to be trusted":
+    def renewed(self, goal: Array, force: Array, old: Beam) -> Controller | None:
+        """The loop to the goal (2,) m by k(s) as it is known now, from the force (2,) N that holds the `old` beam where
+        it is; None where k(s) is not known to be another, or where this beam cannot be led there."""
+        known, plan, control = self.live.state(), self._plan, self._plan.goals[0].control
+        if known.stiffness is None or known.verdict.grade == "not to be trusted":
             return None
-        (goal, force, old), plan, control = lead, self._plan, self._plan.goals[0].control
         beam = replace(old, stiffness=known.stiffness.profile)
         stiffer = mean_ratio(beam, old, plan.push_s)
         s, weights = bending_weights(plan.push_s)
@@ -264,79 +252,74 @@ class _Learner:
             return None
 
 
-class Renewer:
-    """Tells a learner what is seen and felt, and the drive how to go on."""
+class Renewer(Follower):
+    """Finds the tags, tells a learner, and the drive how to go on."""
 
-    def __init__(self, made: Drive, *, beside: bool) -> None:
-        """`beside`: in a process of its own."""
-        self._drive, self._next = made, 0.0
-        self._learner = None if beside else _Learner(made.plan)
+    def __init__(self, made: Drive, rec: Recording, settings: CaptureSettings, *, beside: bool) -> None:
+        """`beside`: the learner has a process of its own."""
+        super().__init__(rec, settings)
+        self._drive, self._next, self._asked = made, 0.0, False
+        self._learner: _Learner | None = None
+        self._process: BaseProcess | None = None
         context = get_context("spawn")
         self._told, self._made = context.Queue(), context.Queue()  # a thread fills them: no turn waits
-        self._coming = False
         if beside:
             self._process = context.Process(target=_learn, args=(made.plan, self._told, self._made), daemon=True)
             with interrupts_held():
                 self._process.start()
 
-    def tell(self, what: str, *values: object) -> None:
-        """One of the learner's methods, and its arguments."""
-        if self._learner is None:
-            self._told.put((what, values))
-        elif (made := getattr(self._learner, what)(*values)) is not None:
-            self._drive.renew(made)
-
-    def look(self, now: float) -> None:
-        """Take what was made, and ask for more; `now` [s]."""
-        with suppress(Empty):
-            while self._coming:
-                made = self._made.get_nowait()
-                self._coming = False
-                if made is not None:
-                    self._drive.renew(made)
-        lead = self._drive.leads_to
-        if lead is not None and not self._coming and now >= self._next:
-            self._next, self._coming = now + LEARNED_EVERY, self._learner is None
-            self.tell("renewed", lead)
-
-    def follower(self, rec: Recording, settings: CaptureSettings) -> Follower:
-        """What follows the recording."""
-        return _Telling(rec, settings, self.tell)
-
-    def close(self) -> None:
-        if self._learner is None:
-            self._told.cancel_join_thread()
-            self._process.kill()
-
-
-class _Telling(Follower):
-    """Finds the tags, and tells."""
-
-    def __init__(self, rec: Recording, settings: CaptureSettings, tell: Callable[..., None]) -> None:
-        super().__init__(rec, settings)
-        self._tell = tell
-
     def begin(self, error: float) -> None:
         super().begin(error)
-        self._tell("begin", self.rec, error)
+        if self._process is None:
+            self._learner = _Learner(self._drive.plan, self.rec, error)
+        else:
+            self._told.put((self.rec, error))
 
     def frame(self, picture: Picture, time: float) -> TrackedFrame | None:
         seen = super().frame(picture, time)
         if seen is not None:
-            self._tell("frame", seen)
+            self._tell("tracked", seen)
         return seen
 
     def force(self, time: Array, force: Array, place: Array | None) -> None:
         if len(time):
             self._tell("force", time, force, place)
 
+    def look(self, now: float) -> None:
+        """Take the controller that was made, and ask for another; `now` [s]."""
+        with suppress(Empty):
+            while self._asked:
+                made, self._asked = self._made.get_nowait(), False
+                if made is not None:
+                    self._drive.renew(made)
+        lead = self._drive.leads_to
+        if lead is not None and not self._asked and now >= self._next:
+            self._next, self._asked = now + LEARNED_EVERY, True
+            self._tell("renewed", *lead)
 
-def _learn(plan: DrivePlan, told: Queue[tuple[str, tuple[Any, ...]]], made: Queue[Controller | None]) -> None:
+    def _tell(self, what: str, *values: Any) -> None:
+        if self._learner is None:
+            self._told.put((what, values))
+        else:
+            _obey(self._learner, what, values, self._made)
+
+    def close(self) -> None:
+        super().close()
+        if self._process is not None:
+            self._told.cancel_join_thread()
+            self._process.kill()
+
+
+def _learn(plan: DrivePlan, told: Queue[Any], made: Queue[Controller | None]) -> None:
     """The process."""
     leave_interrupts_to_parent()
-    learner = _Learner(plan)
+    learner = _Learner(plan, *told.get())
     while True:
-        what, values = told.get()
-        answer = getattr(learner, what)(*values)
-        if what == "renewed":
-            made.put(answer)
+        _obey(learner, *told.get(), made)
+
+
+def _obey(learner: _Learner, what: str, values: tuple[Any, ...], made: Queue[Controller | None]) -> None:
+    if what == "renewed":
+        made.put(learner.renewed(*values))
+    else:
+        getattr(learner.live, what)(*values)

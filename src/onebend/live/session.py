@@ -22,7 +22,7 @@ from onebend.live.recording_folder import FilmWriter, Logs, Pump, RecordingPlace
 from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame, HostClock, Samples, files_of, measurable
 from onebend.progress import leave_real_time
 from onebend.recording.entries import Recording
-from onebend.recording.pairing import read_log
+from onebend.recording.force import read_log
 from onebend.recording.tags import TrackedFrame, Tracker
 from onebend.recording.video import Picture
 from onebend.records import Array
@@ -111,7 +111,7 @@ def record(
     begin: Stop | None = None,
     clock: Clock | None = None,
     tags: TagsSeen = lambda *_: None,
-    follower: Callable[[Recording, CaptureSettings], Follower] = Follower,
+    follower: Follower | None = None,
 ) -> CaptureOutcome:
     """Record one push into `folder`, which holds a `recording.toml` that names its film and its force log.
 
@@ -124,7 +124,7 @@ def record(
         begin: set from anywhere to begin the film in spite of what is wrong with the picture.
         clock: None: this machine's; `PlayedClock` plays played sources as fast as they can be read.
         tags: called from this thread with each picture of the film whose tags were searched.
-        follower: makes what follows it.
+        follower: None: one of its own.
 
     Raises:
         RecordingError: recording.toml, the camera or the sensor cannot be used; nothing was recorded then.
@@ -137,7 +137,8 @@ def record(
         for source in sources:
             source.open(clock)
             opened.callback(source.close)
-        session = _Session(places, camera, force, settings, watch, clock, tags, follower(places.rec, settings))
+        following = follower or Follower(places.rec, settings)
+        session = _Session(places, camera, force, settings, watch, clock, tags, following)
         return session.run(stop or threading.Event(), begin or threading.Event())
 
 
