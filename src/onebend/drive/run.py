@@ -120,7 +120,7 @@ def drive(
         if pressed[0] and not was:
             made.stop()
         if learner is not None:
-            learner.look(state.seconds)
+            learner.go_on(state.seconds)
         if made.over:
             over.set()
 
@@ -285,7 +285,7 @@ class Renewer(Follower):
         if len(time):
             self._tell("force", time, force, place)
 
-    def look(self, now: float) -> None:
+    def go_on(self, now: float) -> None:
         """Take the controller that was made, and ask for another; `now` [s]."""
         with suppress(Empty):
             while self._asked:
@@ -315,7 +315,8 @@ def _learn(plan: DrivePlan, told: Queue[Any], made: Queue[Controller | None]) ->
     leave_interrupts_to_parent()
     learner = _Learner(plan, *told.get())
     while True:
-        _obey(learner, *told.get(), made)
+        what, values = told.get()
+        _obey(learner, what, values, made)
 
 
 def _obey(learner: _Learner, what: str, values: tuple[Any, ...], made: Queue[Controller | None]) -> None:
