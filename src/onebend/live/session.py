@@ -21,7 +21,7 @@ from onebend.live.live import Live
 from onebend.live.recording_folder import FilmWriter, Logs, Pump, RecordingPlaces, places_for, room_left, state_start
 from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame, HostClock, Samples, files_of, measurable
 from onebend.recording.entries import Recording
-from onebend.recording.pairing import read_log
+from onebend.recording.force import read_log
 from onebend.recording.tags import Tracker
 from onebend.recording.video import Picture
 from onebend.records import Array
