@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from onebend.gauss_newton import Look, MostProbable, Outlook, DampedSteps, most_probable
+from onebend.gauss_newton import DampedSteps, Look, MostProbable, Outlook, most_probable
 from onebend.records import Array, BoolArray, IntArray
 
 

@@ -12,7 +12,7 @@ from onebend.beam.model import Beam
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Gaussians, Powers, Profile, Uniform, equidistant, gaussian_basis, power_basis
 from onebend.errors import LearningError, MechanicsError
-from onebend.gauss_newton import Outlook, DampedSteps, most_probable
+from onebend.gauss_newton import DampedSteps, Outlook, most_probable
 from onebend.learning.fit_data import AtRest, at_rest, beam_points
 from onebend.learning.frames import (
     at_frames,

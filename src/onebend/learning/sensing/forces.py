@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from onebend.beam.grid import apply
-from onebend.gauss_newton import MostProbable, Outlook, DampedSteps, most_probable
+from onebend.gauss_newton import DampedSteps, MostProbable, Outlook, most_probable
 from onebend.learning.fit_data import FitData
 from onebend.learning.frames import moved_by, whitened
 from onebend.learning.prediction import Prediction
