@@ -25,7 +25,7 @@ from .played import (
 from .posterior import LiveHyperparameters as LiveHyperparameters
 from .recording_folder import copy_description as copy_description
 from .replayed import replay as replay
-from .session import record as record
+from .session import Follower as Follower, record as record
 from .sources import (
     CameraSource as CameraSource,
     Clock as Clock,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from onebend.learning import normal
 from onebend.learning.allowances import LIVE_ALLOWANCES
 from onebend.learning.hyperparameters import CHOSEN, SPREAD
 from onebend.learning.normal import RHO, TAU, InformationForm
-from onebend.learning.parameters import Priors, Spline
+from onebend.learning.parameters import Spline
 from onebend.recording.force_noise import LOAD
 from onebend.records import Array, ForceNoise
 
@@ -27,8 +28,9 @@ class OnlineSettings:
     functions: int = 45  # of the spline of log k
     key_frames: int = 30
     renewed: int = 5  # key frames linearised anew with every other update; one with those between
-    # `clock` None: camera and force log share one; `scale` None: the camera is calibrated
-    priors: Priors = field(default_factory=Priors)
+    # one sd of `STATED_ERRORS` by name, else as usual; no "clock": camera and force log share one; no "scale": the
+    # camera is calibrated
+    sds: Mapping[str, float] = field(default_factory=dict)
     marker_noise: float = 1.5  # over what the tags' covariances say
     # `level` comes on top of 5 % of the largest force; `load` NaN: 3 % of it
     force: ForceNoise = UNKNOWN_FORCE

@@ -542,7 +542,7 @@ class OnlineLearner:
         self._session = session_of(
             Spline(settings.functions),
             s,
-            settings.priors,
+            settings.sds,
             length=length,
             mass=mass,
             allowances=settings.allowances - self._held,

@@ -21,6 +21,7 @@ from onebend.live.guidance import CaptureOutcome, CaptureSettings, CaptureState,
 from onebend.live.live import Live
 from onebend.live.recording_folder import FilmWriter, Logs, Pump, RecordingPlaces, places_for, room_left, state_start
 from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame, HostClock, Samples, files_of, measurable
+from onebend.progress import leave_real_time
 from onebend.recording.entries import Recording
 from onebend.recording.force import read_log
 from onebend.recording.tags import TrackedFrame
@@ -36,7 +37,7 @@ class Follower:
 
     def __init__(self, rec: Recording, settings: CaptureSettings) -> None:
         self.why = "" if settings.follow else "k(s) was not asked for"  # there is no k(s)
-        self._rec, self._settings = rec, settings
+        self.rec, self._settings = rec, settings
         self._tracker = BodyTracker(rec)
         self._live: Live | None = None
         self._narrowest = guidance.Widening()
@@ -47,17 +48,17 @@ class Follower:
             seen = self._tracker.step(frame.picture, frame.arrival, frame.colour)
         except ObservationError as wrong:
             return (), [str(wrong)]
-        views = guidance.tag_views(self._rec.tags, seen.corners)
+        views = guidance.tag_views(self.rec.tags, seen.corners)
         advice = guidance.setup_advice(frame.picture, views, seen.strangers)
         return views, advice or ([self._tracker.why] if self._tracker.why else [])
 
     def begin(self, error: float) -> None:
         """The film begins, and its clock; that of the force is the same to `error` [s]."""
-        self._tracker = BodyTracker(self._rec)
+        self._tracker = BodyTracker(self.rec)
         if self._settings.follow:
             try:
                 self._live = Live(
-                    self._rec, clock=(0.0, error), settings=self._settings.live, beside=self._settings.live_beside
+                    self.rec, clock=(0.0, error), settings=self._settings.live, beside=self._settings.live_beside
                 )
             except RecordingError as wrong:
                 self.why = str(wrong)
@@ -110,6 +111,7 @@ def record(
     begin: Stop | None = None,
     clock: Clock | None = None,
     tags: TagsSeen = lambda *_: None,
+    follower: Follower | None = None,
 ) -> CaptureOutcome:
     """Record one push into `folder`, which holds a `recording.toml` that names its film and its force log.
 
@@ -122,6 +124,7 @@ def record(
         begin: set from anywhere to begin the film in spite of what is wrong with the picture.
         clock: None: this machine's; `PlayedClock` plays played sources as fast as they can be read.
         tags: called from this thread with each picture of the film whose tags were searched.
+        follower: None: one of its own.
 
     Raises:
         RecordingError: recording.toml, the camera or the sensor cannot be used; nothing was recorded then.
@@ -134,7 +137,8 @@ def record(
         for source in sources:
             source.open(clock)
             opened.callback(source.close)
-        session = _Session(places, camera, force, settings, watch, clock, tags)
+        following = follower or Follower(places.rec, settings)
+        session = _Session(places, camera, force, settings, watch, clock, tags, following)
         return session.run(stop or threading.Event(), begin or threading.Event())
 
 
@@ -150,6 +154,7 @@ class _Session:
         watch: Callable[[CaptureState], None],
         clock: Clock,
         tags: TagsSeen,
+        follower: Follower,
     ) -> None:
         self._places, self._settings, self._watch, self._clock, self._tags = places, settings, watch, clock, tags
         self._pump = Pump(camera, force, clock)
@@ -158,11 +163,11 @@ class _Session:
             camera.timing, None if force is None else force.timing, () if force is None else force.columns
         )
         self._film: FilmWriter | None = None
-        self._encoder = ThreadPoolExecutor(1, "film")  # neither tags nor force wait for it
+        self._encoder = ThreadPoolExecutor(1, "film", leave_real_time)  # neither tags nor force wait for it
         self._unwritten: deque[Future[bool]] = deque()
         self._most_unwritten = 0 if self._pump.at_will else MOST_UNWRITTEN
         self._stages = Stages(places.rec, settings, forced=force is not None)
-        self._follower = Follower(places.rec, settings)
+        self._follower = follower
         self._newest = np.full(2, np.nan)  # N, the force
         self._early: deque[Frame | Samples] = deque()  # of the last moments before the film
         self._good, self._good_since = 0, math.nan
