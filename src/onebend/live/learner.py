@@ -231,7 +231,7 @@ _MANY = 6  # key frames linearised with one frame: after more, nothing else is d
 _LOOK, _LAST_LOOK = (10, 0.05), (60, 0.5)  # evaluations of the evidence, and sd: in one look, and after a push
 _WHITE_SPREAD = 0.7  # sd of the log of the force error's white part
 _SETTLED_STEPS = 40  # of the chains, after a push
-_DRAWS = Draws(chains=1, burn=5, kept=15)  # for a reading, of each node of the cubature
+_DRAWS = Draws(chains=1, burn=5, kept=15, shaped=False)  # for a reading, of each node of the cubature
 _TURNS = 8  # of so many updates without a solution one looks for a missed tag, one counts the effective parameters
 
 

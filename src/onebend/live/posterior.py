@@ -218,11 +218,15 @@ def information(keys: KeyFrames, marginalised: Marginalised, p: int, *, marker: 
     rows = (np.repeat(np.sqrt(weight), 3, axis=1) / marker)[..., None] * keys.rows[:used]
     flat, by_force = rows.reshape(-1, n + 3), np.ascontiguousarray(rows[..., -3:-1].swapaxes(1, 2))
     every, each = flat.T @ flat, by_force @ rows  # (n + 3, n + 3), (K, 2, n + 3)
-    size, x = n + first + 2 * used, np.append(np.arange(p), np.arange(behind, behind + n - p))
+    size, middle = n + first + 2 * used, slice(start, behind)
+    pieces = (slice(p), slice(p)), (slice(behind, size), slice(p, n))  # of all parameters, of x
     matrix, vector = np.zeros((size, size)), np.zeros(size)
-    matrix[np.ix_(x, x)], vector[x] = every[:-3, :-3], every[:-3, -1]
-    across, vector[start:behind] = -each[..., :-3].reshape(-1, n), -each[..., -1].ravel()
-    matrix[start:behind, x], matrix[x, start:behind] = across, across.T
+    across, vector[middle] = -each[..., :-3].reshape(-1, n), -each[..., -1].ravel()
+    for rows_in, rows_of in pieces:
+        vector[rows_in] = every[rows_of, -1]
+        matrix[middle, rows_in], matrix[rows_in, middle] = across[:, rows_of], across[:, rows_of].T
+        for columns_in, columns_of in pieces:
+            matrix[rows_in, columns_in] = every[rows_of, columns_of]
     certain = keys.rest[:used] * keys.frames[:used] / (AT_REST * white) ** 2
     here = start + 2 * np.arange(used)
     for c in range(2):
@@ -230,7 +234,8 @@ def information(keys: KeyFrames, marginalised: Marginalised, p: int, *, marker: 
         matrix[here + c, here + c] += certain
         vector[here + c] += certain * keys.force[:used, c]
     if first:
-        root, known, old = marginalised.rows[:, :-1], marginalised.rows[:, -1], np.append(x, [p, p + 1])
+        root, known = marginalised.rows[:, :-1], marginalised.rows[:, -1]
+        old = np.concatenate([np.arange(p), np.arange(behind, size), [p, p + 1]])
         matrix[np.ix_(old, old)] += root.T @ root
         vector[old] += root.T @ known
     return InformationForm(matrix, vector)
