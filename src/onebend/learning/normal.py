@@ -429,7 +429,8 @@ def stiffness_mixture(
     target = target_of(spline, forms, level, draws.chains)
     chains = list(drawn_chains(target, draws, start))
     mean, covariance, steps, normals = moments_of(target, chains, draws.shaped)
-    shape = _PLAIN if normals is None else _shape(*normals, np.tile(target.share, draws.kept) / draws.kept)
+    weight = np.tile(target.share, draws.kept) / draws.kept
+    shape = _PLAIN if normals is None else _shape(normals[0], normals[1], weight)
     return StiffnessMixture(mean + level, covariance, steps, shape)
 
 

@@ -93,18 +93,6 @@ def _triangle(rows: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class LiveHyperparameters:
-    """The hyperparameters but those of log k's prior, which are drawn."""
-
-    marker: float  # noise of the tags over what their covariances say
-    white: float  # N, force error of every frame
-    coloured: float  # N, Ornstein-Uhlenbeck part
-    memory: float  # s, its correlation time
-    walk: float  # N per root second
-    load: float  # error that comes with the load, over the size expected before the data
-
-
-@dataclass(frozen=True)
 class KeyFrameModel:
     """The linear model over the key frames: log k (p), the force's error at the slots, which are the last frame that
     was marginalised, if any, and the key frames, and all other parameters (n - p)."""
@@ -248,66 +236,3 @@ def model_of(form: InformationForm, other_sd: Array, problem: FitProblem, spread
     others = eliminated(form, np.zeros(len(other_sd)), BlockRoot(other_sd), layout.size)
     evidence = Evidence(problem, JointInformation((others.left,), layout.parts), spread)
     return KeyFrameModel(form, other_sd, others, evidence)
-
-
-# Noise of the tags, from the residuals of the key frames less what an error of each frame's force explains. Averages of
-# frames show the error of averages, so errors that last count with their correlation time.
-
-_BULK = 5.0  # sd: larger residuals are cut off there
-_LEAST = 0.02  # over the tags' covariances: the smallest size
-_GUESS_COUNTS = 60.0  # the first value weighs as much as so many residuals
-_NO_FORCE = 1e-9  # 1/N^2: added, so that a force that moves no tag comes out as zero
-
-
-def tag_residuals(keys: KeyFrames, solution: KeyFramePosterior) -> Array:
-    """(K, 3 m) whitened residuals of the key frames at the solution."""
-    used = keys.used
-    e = solution.e[len(solution.e) - used :]
-    return np.asarray(
-        keys.rows_z[:used] - keys.rows_j[:used] @ solution.x + (keys.rows_a[:used] @ e[..., None])[..., 0]
-    )
-
-
-def force_in(residual: Array, a: Array) -> Array:
-    """(K, 2) N: the force error of each frame that fits its residuals (K, R) best; `a` (K, R, 2): derivatives of the
-    residuals with it."""
-    turned = a.swapaxes(1, 2)
-    gram, by = turned @ a, (turned @ residual[..., None])[..., 0]
-    xx, yy, xy = gram[:, 0, 0] + _NO_FORCE, gram[:, 1, 1] + _NO_FORCE, gram[:, 0, 1]
-    out = np.empty_like(by)
-    out[:, 0], out[:, 1] = yy * by[:, 0] - xy * by[:, 1], xx * by[:, 1] - xy * by[:, 0]
-    return out / (xx * yy - xy**2)[:, None]
-
-
-def without_force(residual: Array, a: Array) -> Array:
-    """Residuals (K, R) less what a force error of each frame explains; `a` (K, R, 2) as in `force_in`."""
-    return np.asarray(residual - (a @ force_in(residual, a)[..., None])[..., 0])
-
-
-def robust_weights(keys: KeyFrames, residual: Array, marker: float, bulk: float) -> Array:
-    """(K, m) robust weights of the tags: 1 where the residual is within `bulk` sd, beyond it falling with its square.
-
-    In the bulk all tags have the same weight: the averages of two frames would mix them unevenly otherwise.
-    """
-    distance = np.sqrt(np.sum(residual.reshape(len(residual), -1, 3) ** 2, axis=-1)) / marker
-    visible = keys.information[: keys.used, :, 0, 0] > 0.0
-    return np.asarray(visible * np.minimum(1.0, bulk / np.maximum(distance, 1e-300)) ** 2)
-
-
-def tag_noise_size(keys: KeyFrames, residual: Array, spent: float, expected: float) -> float:
-    """Size of the tags' noise over what their covariances say.
-
-    `spent`: effective number of parameters; `expected`: the size before the data.
-    """
-    loaded = ~keys.rest[: keys.used]
-    r = without_force(residual[loaded], keys.rows_a[: keys.used][loaded])
-    numbers = float(np.count_nonzero(r)) - 2.0 * len(r)
-    if numbers <= 0.0:
-        return expected
-    sizes = np.sort(np.abs(r[r != 0.0]))
-    most = _BULK * float(sizes[len(sizes) // 2]) / 0.6745
-    left_over = max(numbers - spent, 0.3 * numbers)
-    mean_square = (float(np.sum(np.minimum(sizes, most) ** 2)) + _GUESS_COUNTS * expected**2) / (
-        left_over + _GUESS_COUNTS
-    )
-    return max(float(np.sqrt(mean_square)), _LEAST)
