@@ -23,7 +23,7 @@ from .played import (
     played_force as played_force,
 )
 from .replayed import replay as replay
-from .session import record as record
+from .session import Follower as Follower, record as record
 from .sources import (
     CameraSource as CameraSource,
     Clock as Clock,

@@ -353,7 +353,19 @@ class Live:
             self._refused = str(error)
         if seen is None:
             self._counts = replace(self._counts, refused_frames=self._counts.refused_frames + 1)
-            return None
+        else:
+            self.tracked(seen, image)
+        return seen
+
+    @one_blas_thread
+    def tracked(self, seen: TrackedFrame, image: Picture | None = None) -> None:
+        """The tags of one picture, where a `Tracker` elsewhere found them.
+
+        Raises:
+            ObservationError: after `finish` or `close`.
+        """
+        self._check_open()
+        time = seen.time
         if math.isnan(self._begin):
             self._begin = time
             self._state_clock()
@@ -368,7 +380,6 @@ class Live:
             self._newest = seen
             self._following.add(own.time, own.corners)
             self._review(own.time)
-        return seen
 
     @one_blas_thread
     def force(self, time: ArrayLike, values: ArrayLike, place: ArrayLike | None = None) -> None:
