@@ -22,6 +22,7 @@ from .played import (
     played_camera as played_camera,
     played_force as played_force,
 )
+from .recording_folder import copy_description as copy_description
 from .replayed import replay as replay
 from .session import Follower as Follower, record as record
 from .sources import (
