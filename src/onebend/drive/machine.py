@@ -51,6 +51,7 @@ PATIENCE = 1.0  # s for which a silent robot is waited for, in hold
 CALM, LONGEST_PAUSE = 0.25, 5.0  # s of pictures and answers in time, before it goes on; for which it waits for that
 MOST_STEPS = 3  # of the way to the goal in one late turn: a chord of it would bend the beam otherwise than its arc
 MOST_PAUSES = 20  # of one drive, on its way out
+LONGEST_REST = 2.0  # times as long as asked for, where little was seen
 MOST_LATE = 0.2  # of the turns at rest: where more are late nothing moves
 MOST_HOLDS = 3  # of one drive, beside the pauses; then the robot is left where it stands
 AFTER_FAULT = 1.0  # s of rest behind a release
@@ -252,16 +253,18 @@ class Drive:
             self._film_begun = frame.arrival
         if not self._settled:
             self.eye.add_rest(time, corners)
-            if self.stage == "waiting" and frame.arrival - self._film_begun >= self._settings.rest:
+            rested = (frame.arrival - self._film_begun) / self._settings.rest
+            enough = min(self.eye.rested, len(self._raw)) >= _FEWEST_AT_REST or rested > LONGEST_REST
+            if self.stage == "waiting" and rested >= 1.0 and enough:
                 self._settle(frame.picture.shape)
             return
         self._seen.append(self.eye.beam(frame.arrival, time, corners))
 
     def _settle(self, shape: tuple[int, ...]) -> None:
         try:
-            if self.eye.rested < _FEWEST_AT_REST or len(self._raw) < _FEWEST_AT_REST:
+            if min(self.eye.rested, len(self._raw)) < _FEWEST_AT_REST:
                 raise OnebendError(
-                    f"in {self._settings.rest:.3g} s of rest all tags were seen in {self.eye.rested} pictures, and the "
+                    f"in {LONGEST_REST * self._settings.rest:.3g} s of rest all tags were seen in {self.eye.rested} pictures, and the "
                     f"force came {len(self._raw)} times: look at onebend record first"
                 )
             if (late := float(np.mean(self.lateness.at_rest))) > MOST_LATE:
