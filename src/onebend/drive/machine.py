@@ -264,8 +264,8 @@ class Drive:
         try:
             if min(self.eye.rested, len(self._raw)) < _FEWEST_AT_REST:
                 raise OnebendError(
-                    f"in {LONGEST_REST * self._settings.rest:.3g} s of rest all tags were seen in {self.eye.rested} pictures, and the "
-                    f"force came {len(self._raw)} times: look at onebend record first"
+                    f"in {LONGEST_REST * self._settings.rest:.3g} s of rest all tags were seen in {self.eye.rested} "
+                    f"pictures, and the force came {len(self._raw)} times: look at onebend record first"
                 )
             if (late := float(np.mean(self.lateness.at_rest))) > MOST_LATE:
                 raise OnebendError(
