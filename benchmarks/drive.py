@@ -57,7 +57,7 @@ from tests.drive.faults import DEAD, SAYS, Injected, suffer
 
 KEPT = Path(__file__).parents[1] / "out" / "drive"
 BEAMS = ("linear", "quadratic", "cubic")
-RANDOM, FAULTS, BUSY = 20, 200, 10
+RANDOM, FAULTS, BUSY = 20, 200, 6
 WRONG = 0.3
 ASKED = 5e-4  # m
 LATE = 0.1  # s, within which it is to hold
