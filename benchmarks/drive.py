@@ -5,8 +5,8 @@
 The virtual robot is a process of its own: 30 pictures a second of 800 x 450, 60 ms late, 1.5 of 255 of noise; axes that
 lie 7 mrad off; a wrench with 5 mN of noise that wanders. Each beam is learned from a push that its own robot made. Then
 it is driven to the paper's six tasks and to 20 random goals, once as it is and once with its true k(s) 30 % softer or
-stiffer. The faults are put into drives on a played clock. `--only busy` drives to some of the goals beside two processes
-that are always busy, with the right to real-time scheduling that the user has. Linux takes it from root by
+stiffer. The faults are put into drives on a played clock. `--only busy` drives to some of the goals beside two
+processes that are always busy, with the right to real-time scheduling that the user has. Linux takes it from root by
 
     setpriv --bounding-set=-sys_nice --inh-caps=-sys_nice python -m benchmarks.drive --only busy
 
