@@ -244,7 +244,7 @@ def goal_summary(found: dict[str, Any]) -> Iterable[str]:
     delay = 1e3 * np.array([one["delay"] for one in led])
     for label, values in (("picture to command", latency), ("one turn of the loop", turns)):
         yield f"- {label}: median {np.median(values):.1f} ms, 99 % {np.quantile(values, 0.99):.1f} ms ({len(values)})."
-    pauses = [pause for one in led for pause in one["pauses"]]
+    pauses = [pause for one in led for pause in one.get("pauses", [])]
     yield f"- {len(pauses)} pauses, {sum(pauses):.1f} s in all."
     yield f"- delay as measured, from exposure to the robot's motion: {delay.mean():.0f} ms, sd {delay.std():.0f} ms."
 
