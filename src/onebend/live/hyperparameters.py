@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -64,6 +65,25 @@ class OnlineSettings:
         for name, least in (("functions", 5), ("key_frames", 5), ("renewed", 1), ("patience", 1)):
             if getattr(self, name) < least:
                 raise LearningError(f"{name} must be at least {least}, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True)
+class LiveHyperparameters:
+    """The hyperparameters but those of log k's prior, which are drawn."""
+
+    marker: float  # noise of the tags over what their covariances say
+    misfit: float  # of the tags, likewise; 0 while it is no more than noise
+    white: float  # N, force error of every frame
+    coloured: float  # N, Ornstein-Uhlenbeck part
+    memory: float  # s, its correlation time
+    walk: float  # N per root second
+    load: float  # error that comes with the load, over the size expected before the data
+
+    @property
+    def causes_of_width(self) -> dict[str, float]:
+        """What the width of the band follows from, beside the frames."""
+        force = math.hypot(self.coloured, self.white)
+        return {"tags": max(self.marker, self.misfit), "force": force, "drift": self.walk, "load": self.load}
 
 
 def expected_error(settings: OnlineSettings, largest: float, far_off: bool) -> ForceNoise:

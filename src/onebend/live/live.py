@@ -214,7 +214,7 @@ class LiveState:
     verdict: LiveVerdict
     waiting: tuple[str, ...]  # what is not known yet, and why
     remarks: tuple[Remark, ...]  # of the last review, as `learn` makes them
-    causes_of_width: Mapping[str, float] = field(default_factory=dict)  # as of `OnlineLearner`; empty without k(s)
+    causes_of_width: Mapping[str, float] = field(default_factory=dict)  # of `LiveHyperparameters`; empty without k(s)
 
 
 def live_verdict(
@@ -461,7 +461,7 @@ class Live:
             verdict=live_verdict(stiffness, known, why, () if learning is None else learning.doubts),
             waiting=tuple(waiting),
             remarks=known.remarks,
-            causes_of_width={} if learning is None else learning.learner.causes_of_width,
+            causes_of_width={} if learning is None else learning.learner.hyperparameters.causes_of_width,
         )
 
     def finish(self, *, fitting: FitSettings = FitSettings(), progress: Progress = Silent()) -> Run:

@@ -219,18 +219,6 @@ class FrameForces:
         return FrameForces(self.time[rows], self.weigh[rows], self.told[rows], self.common[rows], self.widened)
 
 
-@dataclass(frozen=True)
-class _Linear:
-    """Residuals over the tags' noise and their derivatives; zero where nothing was measured."""
-
-    residual: Array  # (F, 3 m)
-    by_force: Array  # (F, 3 m, 2) 1/N
-    by_other: Array  # (F, 3 m, k) of the frame's other unknowns, over their priors' sds
-    other: Array  # (F, k) less their priors' means, over their sds
-    by_shared: Array  # (F, 3 m, r)
-    measured: BoolArray  # (F, 3 m)
-
-
 def read(
     bench: Bench, frames: IntArray, load: Array, place: Array, prior_sd: Array, *, seek_place: bool
 ) -> FrameForces:
@@ -240,58 +228,30 @@ def read(
     Directions with less information than the prior (`prior_sd` (n,)) are left out: to first order they are not known.
     """
     known = np.flatnonzero(np.isfinite(load).all(axis=1))
-    chunks = [known[i : i + CHUNK] for i in range(0, len(known), CHUNK)]
-    parts = [_linear(bench, frames[rows], load[rows], place[rows], prior_sd, seek_place) for rows in chunks]
-    count, ways, time = len(frames), bench.root.shape[1], bench.observations.time[frames]
+    count, ways, time, parts = len(frames), bench.root.shape[1], bench.observations.time[frames], []
     weigh, told, common = np.zeros((count, 2, 2)), np.zeros((count, 2)), np.zeros((count, 2, ways))
+    for rows in (known[i : i + CHUNK] for i in range(0, len(known), CHUNK)):
+        frame = FrameModel(bench, frames[rows], place[rows], prior_sd, seek_place)
+        own = np.column_stack([load[rows], place[rows]]) if seek_place else load[rows]
+        now = frame.at(np.arange(len(rows)), own)
+        at, others = frame.outlook(now, None), own.shape[1] - 2
+        residual = at.residual + apply(at.slopes[..., 2:], (own - frame.mean)[:, 2:])
+        root, _ = _whitening(at.slopes[..., 2:] * frame.sd[2:])  # the prior of the other unknowns is noise
+        measured = np.any(now.data.whiten != 0.0, axis=-1) & at.stands[:, None, None]
+        own_rows = apply(root, residual), root @ at.slopes[..., :2], root @ frame.shared(now)
+        parts.append((*own_rows, measured.reshape(len(rows), -1)))
     if not parts:
         return FrameForces(time, weigh, told, common, 1.0)
-    one = _Linear(*(np.concatenate(each) for each in zip(*(vars(part).values() for part in parts), strict=True)))
-    one = _without_other(one)
-    side, size, _ = np.linalg.svd(one.by_force, full_matrices=False)
+    residual, by_force, by_shared, measured = (np.concatenate(each) for each in zip(*parts, strict=True))
+    side, size, _ = np.linalg.svd(by_force, full_matrices=False)
     across = np.swapaxes(side, 1, 2)
-    left = one.residual - apply(side, apply(across, one.residual))
-    widened = _memory(left, one.measured, 2 + one.other.shape[1])
+    left = residual - apply(side, apply(across, residual))
+    widened = _memory(left, measured, 2 + others)
     side = np.where((prior_sd[0] * size > 1.0)[..., None], across / np.sqrt(widened), 0.0)
-    weigh[known] = side @ one.by_force
-    told[known] = apply(side, one.residual) + apply(weigh[known], load[known, :2])
-    common[known] = side @ one.by_shared
+    weigh[known] = side @ by_force
+    told[known] = apply(side, residual) + apply(weigh[known], load[known, :2])
+    common[known] = side @ by_shared
     return FrameForces(time, weigh, told, common, widened)
-
-
-def _linear(bench: Bench, frames: IntArray, load: Array, place: Array, prior_sd: Array, seek_place: bool) -> _Linear:
-    frame = FrameModel(bench, frames, place, prior_sd, seek_place)
-    own = np.column_stack([load, place]) if seek_place else load
-    now = frame.at(np.arange(len(frames)), own)
-    at = frame.outlook(now, None)
-    measured = np.any(now.data.whiten != 0.0, axis=-1) & at.stands[:, None, None]
-    return _Linear(
-        residual=at.residual,
-        by_force=at.slopes[..., :2],
-        by_other=at.slopes[..., 2:] * frame.sd[2:],
-        other=((own - frame.mean) / frame.sd)[:, 2:],
-        by_shared=frame.shared(now),
-        measured=measured.reshape(len(frames), -1),
-    )
-
-
-def _without_other(one: _Linear) -> _Linear:
-    """With each frame's other unknowns integrated out: their prior is noise."""
-    if not one.other.shape[1]:
-        return one
-    residual = one.residual + apply(one.by_other, one.other)
-    side, size, _ = np.linalg.svd(one.by_other, full_matrices=False)
-    less = 1.0 - 1.0 / np.sqrt(1.0 + size**2)  # (I + W W^T)^(-1/2) = I - U less U^T
-
-    def without(values: Array) -> Array:
-        return np.asarray(values - side @ (less[..., None] * (np.swapaxes(side, 1, 2) @ values)))
-
-    return replace(
-        one,
-        residual=without(residual[..., None])[..., 0],
-        by_force=without(one.by_force),
-        by_shared=without(one.by_shared),
-    )
 
 
 def _memory(left: Array, measured: BoolArray, unknowns: int) -> float:
