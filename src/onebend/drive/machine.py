@@ -49,7 +49,9 @@ NEAR_START = 0.005  # m by which the tool may be off the beam's place where it i
 THIN = (5e-4, math.radians(0.5))  # m and rad between places of the way that is walked back
 PATIENCE = 1.0  # s for which a silent robot is waited for, in hold
 CALM, LONGEST_PAUSE = 0.25, 5.0  # s of pictures and answers in time, before it goes on; for which it waits for that
+MOST_STEPS = 3  # of the way to the goal in one late turn: a chord of it would bend the beam otherwise than its arc
 MOST_PAUSES = 20  # of one drive, on its way out
+LONGEST_REST = 2.0  # times as long as asked for, where little was seen
 MOST_LATE = 0.2  # of the turns at rest: where more are late nothing moves
 MOST_HOLDS = 3  # of one drive, beside the pauses; then the robot is left where it stands
 AFTER_FAULT = 1.0  # s of rest behind a release
@@ -159,7 +161,7 @@ class Drive:
         self._clock: Clock | None = None
         self._next = self._turned = self._told_state = -math.inf
         self._pictured = -math.inf  # arrival of the newest picture that is not the one before
-        self._answered = self._sighted = self._entered = self._goal_begun = self._changed = math.inf
+        self._answered = self._sighted = self._entered = self._goal_begun = self._led = self._changed = math.inf
         self._same_at_rest = 0.0
         self._film_begun, self._film = math.nan, (math.nan, math.nan)  # arrival and film time of the newest picture
         self._refused, self._camera_why, self._refused_by = "", "", ""
@@ -251,17 +253,19 @@ class Drive:
             self._film_begun = frame.arrival
         if not self._settled:
             self.eye.add_rest(time, corners)
-            if self.stage == "waiting" and frame.arrival - self._film_begun >= self._settings.rest:
+            rested = (frame.arrival - self._film_begun) / self._settings.rest
+            enough = min(self.eye.rested, len(self._raw)) >= _FEWEST_AT_REST or rested > LONGEST_REST
+            if self.stage == "waiting" and rested >= 1.0 and enough:
                 self._settle(frame.picture.shape)
             return
         self._seen.append(self.eye.beam(frame.arrival, time, corners))
 
     def _settle(self, shape: tuple[int, ...]) -> None:
         try:
-            if self.eye.rested < _FEWEST_AT_REST or len(self._raw) < _FEWEST_AT_REST:
+            if min(self.eye.rested, len(self._raw)) < _FEWEST_AT_REST:
                 raise OnebendError(
-                    f"in {self._settings.rest:.3g} s of rest all tags were seen in {self.eye.rested} pictures, and the "
-                    f"force came {len(self._raw)} times: look at onebend record first"
+                    f"in {LONGEST_REST * self._settings.rest:.3g} s of rest all tags were seen in {self.eye.rested} "
+                    f"pictures, and the force came {len(self._raw)} times: look at onebend record first"
                 )
             if (late := float(np.mean(self.lateness.at_rest))) > MOST_LATE:
                 raise OnebendError(
@@ -569,12 +573,15 @@ class Drive:
         self._goal, self._control = number, self.plan.goals[number].control
         self._loop = self._control.begin(now, (0.0, 0.0) if correction is None else correction)
         self._errors.clear()
-        self._goal_begun = now
+        self._goal_begun = self._led = now
         self._enter("driving", now)
 
     def _lead(self, now: float, seen: SeenBeam | None) -> None:
         """One turn of the closed loop."""
         assert self._loop is not None
+        stood = max(now - self._led - MOST_STEPS * self._period, 0.0)
+        self._loop, self._led = replace(self._loop, began=self._loop.began + stood), now
+        self._goal_begun += stood
         self._take_renewed(now)
         control, point = self._timed(), None
         if seen is not None:
@@ -644,7 +651,7 @@ class Drive:
                 self._enter("staying", now)
             elif since > max(self._settings.longest, 2.0 * self._control.reference.rise):
                 self._trouble = True
-                away = 1e3 * self.state.distance
+                away = 1e3 * float(np.linalg.norm(self.state.point - self._control.goal))
                 self._say(f"goal {self._goal + 1} is given up after {since:.0f} s, {away:.2g} mm away", fault=True)
                 self._finish_goal(now, reached=False)
         elif now - self._entered >= self._settings.stay:
@@ -714,14 +721,11 @@ class Drive:
             self._go_back(now, "releasing")
 
     def _resume(self, now: float, stage: Stage) -> None:
-        """Go on with what it did; the way to the goal had no time meanwhile."""
+        """Go on with what it did."""
         pause, self.lateness.paused, self._doubted = now - self._entered, None, 0
         self.lateness.pauses.append(pause)
         busy, self.lateness.waited = self.lateness.waited > 0.5 * SILENCE, 0.0
         self._say(f"goes on after {pause:.1f} s{': pictures had waited, as this computer was busy' if busy else ''}")
-        if self._loop is not None:
-            self._loop = replace(self._loop, began=self._loop.began + pause, frame_at=now)
-        self._goal_begun += pause
         self._errors.clear()
         self._enter(stage, now)
 

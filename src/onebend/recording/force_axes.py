@@ -187,7 +187,8 @@ def turn_beyond(markers: Markers, rest: RestShape, push_s: Array, loaded: BoolAr
     between = np.abs(bend[:, last] - bend[:, first])
     if not np.isfinite(between).any():
         return 0.0, 0.0
-    return float(np.nanpercentile(between, MOST)), float(np.nanpercentile(np.nanmax(np.abs(bend), axis=1), MOST))
+    shown = bend[np.isfinite(bend).any(axis=1)]
+    return float(np.nanpercentile(between, MOST)), float(np.percentile(np.nanmax(np.abs(shown), axis=1), MOST))
 
 
 def check_direction(

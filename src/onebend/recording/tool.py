@@ -313,6 +313,8 @@ def tool_place(
         return not_seen("the beam at rest is taken for the background")
     own = {row: _at([one], found.left, found.s) for row, one in enumerate(each) if pushed[row]}
     rows, whole = [row for row, one in own.items() if one], (pictures if sharp is None else np.stack([*sharp]))[good]
+    if len(rows) < FEWEST_LOADED:
+        return found
     size = factor if sharp is None else 1
     strips = [_strip(whole[i], size, markers.view, own[i][0], (centre[i], normal[i]), grid) for i in rows]
     background = np.sort(whole, axis=0)[len(whole) // 2].astype(np.float32)

@@ -8,6 +8,7 @@ from math import nan
 import numpy as np
 import pytest
 
+from onebend.recording import tool
 from onebend.recording.entries import PushEntry
 from onebend.recording.signals import runs
 from onebend.recording.tool import (
@@ -54,6 +55,13 @@ def test_the_tool_is_seen_where_it_touches(at: float, bar: Bar) -> None:
     assert seen.track is not None
     assert abs(float(np.median(seen.track.s)) - at) * LENGTH < 0.5e-3  # m
     assert np.linalg.norm(seen.track.effects.mean(axis=0)) <= seen.sd
+
+
+def test_a_place_where_no_picture_shows_the_tool_has_no_track(monkeypatch: pytest.MonkeyPatch) -> None:
+    film = filmed((0.8, TOOL))
+    elsewhere = replace(film.place(), s=0.3, track=None)
+    monkeypatch.setattr(tool, "place_of", lambda *_: elsewhere)
+    assert film.place() == elsewhere
 
 
 def test_it_is_seen_on_either_side() -> None:
