@@ -19,18 +19,21 @@ from benchmarks.studies import bench_of
 from benchmarks.truth import RECORDINGS, Truth, read_truth
 from onebend.lab.virtual import virtual_recording
 from onebend.recording.camera import measure_markers
-from onebend.recording.clock import ClockSettings
+from onebend.recording.clock_evidence import fit_noise, linear_model
+from onebend.recording.clock_features import ClockSettings
 from onebend.recording.entries import Recording
 from onebend.recording.folder import read_recording
 from onebend.recording.force import (
     Contact,
     ForceSettings,
+    cleaned,
     find_contact,
     force_at,
+    match_clocks,
+    read_log,
     to_beam,
 )
-from onebend.recording.force_noise import TimeSpans, covariance, first_guess, fit_noise, linear_model
-from onebend.recording.pairing import cleaned, match_clocks, read_log
+from onebend.recording.force_noise import TimeSpans, covariance, first_guess
 from onebend.recording.tags import detect_tags
 from onebend.recording.tracks import with_angles
 from onebend.records import Array, ForceLog, Markers
@@ -77,12 +80,13 @@ def row(folder: Path) -> Row | None:
 
 def compare(rec: Recording, markers: Markers, log: ForceLog, truth: Truth) -> Row:
     """What `observe` does with markers and log, each step beside the truth."""
-    fit = match_clocks(rec, markers, log, None, ClockSettings())
-    contact = find_contact(markers, log, offset=fit.clock.offset)
-    true = truth.facts["clock"]["log_minus_video_true"] + truth.facts["force"]["lag"]
     settings = ForceSettings()
-    clean = cleaned(rec, markers, log, contact, fit, settings)
-    first = cleaned(rec, markers, log, replace(contact, rests=contact.rests[:1]), fit, settings)
+    read, fit = match_clocks(rec, markers, log, None, ClockSettings(), settings)
+    assert read is not None
+    contact = find_contact(markers, read, offset=fit.clock.offset)
+    true = truth.facts["clock"]["log_minus_video_true"] + truth.facts["force"]["lag"]
+    clean = cleaned(rec, read, contact, fit, settings)
+    first = cleaned(rec, read, replace(contact, rests=contact.rests[:1]), fit, settings)
     size = np.linalg.norm(truth.force, axis=1)
     begin = float(truth.time[int(np.argmax(size > 0.01 * size.max()))])
     assert rec.video is not None
@@ -93,8 +97,8 @@ def compare(rec: Recording, markers: Markers, log: ForceLog, truth: Truth) -> Ro
         offset_sd=fit.clock.sd,
         bound=bound(rec, log, truth, true),
         cutoff=clean.cutoff,
-        force_first=error(force_at(first, markers.time + fit.clock.offset), truth, contact),
-        force_all=error(force_at(clean, markers.time + fit.clock.offset), truth, contact),
+        force_first=error(force_at(first, markers.time + fit.clock.offset)[0], truth, contact),
+        force_all=error(force_at(clean, markers.time + fit.clock.offset)[0], truth, contact),
         force_sd=clean.noise_sd,
         contact_error=contact.begin - begin,
     )
@@ -176,7 +180,8 @@ def virtual_row(cell: str, runs: int) -> str:
         bench = bench_of(kind, errors, seed)  # type: ignore[arg-type]
         said = bench.clock.offset + float(np.random.default_rng([seed, 9]).uniform(-1.5, 1.5))
         made = virtual_recording(replace(bench, clock=replace(bench.clock, declared=said, uncertainty=2.0)), seed=seed)
-        clock = match_clocks(made.recording, with_angles(made.markers), made.log, None, ClockSettings()).clock
+        markers = with_angles(made.markers)
+        clock = match_clocks(made.recording, markers, made.log, None, ClockSettings(), ForceSettings())[1].clock
         found.append((clock.offset - bench.clock.offset - bench.sensor.lag, clock.sd))
     miss, sd = np.array(found).T
     score = miss / sd

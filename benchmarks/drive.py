@@ -147,6 +147,7 @@ def driven(goal: Goal) -> dict[str, Any]:
             "delay": made.meter.delay,
             "latency": made.latency,
             "turns": made.turns,
+            "pauses": made.lateness.pauses,
             "reached": outcome.data["reached"],
         }
         if made.outcomes:
@@ -186,7 +187,7 @@ def suffered(fault: Injected) -> dict[str, Any]:
             "hold": one.hold_after,
             "force": one.cell.largest / one.limit,
             "message": one.message,
-            "ended": one.outcome.drive.stage == "done" and one.outcome.drive.fault,
+            "ended": one.ended,
             "whole": whole,
             "last": one.outcome.drive.events[-1].text,
         }
@@ -234,6 +235,8 @@ def goal_summary(found: dict[str, Any]) -> Iterable[str]:
     delay = 1e3 * np.array([one["delay"] for one in led])
     for label, values in (("picture to command", latency), ("one turn of the loop", turns)):
         yield f"- {label}: median {np.median(values):.1f} ms, 99 % {np.quantile(values, 0.99):.1f} ms ({len(values)})."
+    pauses = [pause for one in led for pause in one["pauses"]]
+    yield f"- {len(pauses)} pauses, {sum(pauses):.1f} s in all."
     yield f"- delay as measured, from exposure to the robot's motion: {delay.mean():.0f} ms, sd {delay.std():.0f} ms."
 
 
@@ -261,6 +264,7 @@ def fault_rows(found: dict[str, Any]) -> Iterable[str]:
         f"{len(every)} faults: {sum(one['hold'] <= LATE + 1e-9 for one in every)} held within 100 ms, "
         f"{sum(one['force'] <= 1.05 for one in every)} kept the force within 105 % of its limit (largest "
         f"{max(one['force'] for one in every):.2f}), {sum(one['ended'] for one in every)} ended as a fault and let go, "
+        "or went on after a slow turn, "
         f"{sum(map(right, every))} said the right thing, "
         f"{sum(not one['whole'].startswith('refused') for one in every)} left a recording that can be observed."
     )

@@ -30,7 +30,7 @@ from onebend.learning.linear import (
     unweighted_rows,
 )
 from onebend.learning.normal import JUMP, RHO, SPREAD, TAU, Draws, stiffness_mixture
-from onebend.learning.parameters import Layout, Priors, Spline, make_layout
+from onebend.learning.parameters import Layout, Spline, make_layout
 from onebend.learning.prediction import predict
 from onebend.records import Array, ForceNoise, Observations
 from tests.lab.from_truth import observe_from_truth
@@ -137,7 +137,7 @@ def draw_parts(spline: Spline, rng: np.random.Generator) -> Array:
 def prepared(o: Observations, spline: Spline, allowances: frozenset[str]) -> FitProblem:
     """As the fit prepares them: every loaded frame."""
     data = fit_data(o, 0, o.loaded, spline, allowances)
-    layout = make_layout(spline, [o], [len(data.error.knots)], Priors(), [data.allowances])
+    layout = make_layout(spline, [o], [len(data.error.knots)], [data.allowances])
     noise = (RecordingNoise(1.0, 1.0),)
     return FitProblem((data,), layout, LEVEL, Hyperparameters(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, 1.0, noise))
 

@@ -12,7 +12,7 @@ from benchmarks.truth import parser_of, read_truth
 from onebend.live.live import Live, LiveSettings
 from onebend.pipeline import Run, learn
 from onebend.recording.folder import read_recording
-from onebend.recording.pairing import read_log
+from onebend.recording.force import read_log
 from onebend.recording.signals import step
 from onebend.recording.video import read_frames
 from onebend.records import Array

@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).parents[1] / "src" / "onebend"
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors", "options", "progress", "wings"),
     ("extras", "records", "text_files"),
-    ("beam", "crash", "files"),
+    ("beam", "crash", "files", "gauss_newton"),
     ("recording", "control"),
     ("learning",),
     ("report", "export"),

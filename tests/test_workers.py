@@ -15,7 +15,7 @@ import pytest
 
 from onebend import progress
 from onebend.learning.normal import in_own_pages
-from onebend.progress import each, leave_interrupts_to_parent, real_time
+from onebend.progress import each, leave_interrupts_to_parent, leave_real_time, real_time
 
 
 def test_results_are_alike_to_the_bit_and_in_order_on_one_core_and_on_many(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -118,6 +118,25 @@ def test_real_time_ends_with_its_block_and_workers_have_none() -> None:
         leave_interrupts_to_parent()
         assert os.sched_getscheduler(0) == before
     signal.signal(signal.SIGINT, mine)
+
+
+@pytest.mark.skipif(not Path("/proc/self/sched").exists(), reason="no slices to be seen here")
+def test_without_real_time_slices_are_short(monkeypatch: pytest.MonkeyPatch) -> None:
+    def slice_ns() -> int:
+        lines = Path("/proc/self/sched").read_text(encoding="utf-8").splitlines()
+        return next((int(line.split()[-1]) for line in lines if line.startswith("se.slice")), 0)
+
+    if not slice_ns():
+        pytest.skip("this Linux has no slices")
+    monkeypatch.setattr(progress, "_REAL_TIME", (2, 1000, 0))  # a priority that is not granted
+    before, interval = slice_ns(), sys.getswitchinterval()
+    with real_time():
+        assert slice_ns() < 0.5 * before
+        assert sys.getswitchinterval() < interval
+        leave_real_time()
+        assert slice_ns() == before
+    assert slice_ns() == before
+    assert sys.getswitchinterval() == interval
 
 
 MASKED = """

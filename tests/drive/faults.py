@@ -51,6 +51,7 @@ SAYS = {  # words of the message
     "slipped": "jumped|from where the model has it|under the force that is felt",
 }
 BY_PICTURE = {"hidden", "swapped"}  # what pictures alone can tell: known when one comes that was taken then
+PASSES = {"slow"}  # it was only late, and goes on
 DEAD = {"silent", "raises", "deaf", "cut"}  # the robot cannot be told to hold
 
 
@@ -168,7 +169,15 @@ class Suffered:
     @property
     def message(self) -> str:
         """The first thing that was wrong."""
-        return next((one.text for one in self.outcome.drive.events if one.fault), "")
+        events = self.outcome.drive.events
+        return next((one.text for one in events if one.fault or one.text.startswith("holds: ")), "")
+
+    @property
+    def ended(self) -> bool:
+        """Whether it ended as it should: as a fault, or on its goal after a pause."""
+        made = self.outcome.drive
+        as_said = self.outcome.good and len(made.lateness.pauses) == 1 if self.fault.kind in PASSES else made.fault
+        return made.over and as_said
 
 
 def suffer(folder: Path, fault: Injected) -> Suffered:

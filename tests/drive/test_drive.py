@@ -208,6 +208,43 @@ def test_a_second_stop_lets_go_at_once(tmp_path: Path) -> None:
     assert all(at < 1.95 for at, _ in robot.told)
 
 
+def test_what_was_only_late_pauses_and_goes_on(tmp_path: Path) -> None:
+    rec = read_recording(described(tmp_path, width=640), filmed=False)
+    cell = VirtualCell(setup_for(rec, holds=False, sees=math.radians(60.0)))
+    plan, robot = planned(rec, [goal_of()]), Noting(cell)
+    moved: list[float] = []
+
+    def watch(state: DriveState) -> None:
+        if state.stage == "driving":
+            moved.append(cell.time)
+        if moved and cell.time > moved[0] + 0.6:
+            cell.faults["camera"] = True
+        if moved and cell.time > moved[0] + 1.1:
+            cell.faults.clear()
+
+    outcome = drive_cell(tmp_path, plan, cell, robot=robot, watch=watch)
+    texts = [one.text for one in outcome.drive.events]
+    assert texts[1].startswith("holds: no new picture came")
+    assert texts[2].startswith("goes on after")
+    assert outcome.good, texts
+    (pause,) = outcome.drive.lateness.pauses
+    assert 0.4 < pause < 1.0
+    assert not [at for at, _ in robot.told if robot.held_at < at < robot.held_at + pause - 0.01]
+    (one,) = outcome.drive.outcomes
+    elapsed = outcome.drive.events[3].time - outcome.drive.events[0].time + plan.settings.stay
+    assert one.seconds == pytest.approx(elapsed - pause, abs=0.05)  # the pause does not count
+    assert np.linalg.norm(one.seen - np.array(goal_of())) < one.said
+
+
+def test_a_computer_that_is_late_at_rest_moves_nothing(tmp_path: Path) -> None:
+    rec = read_recording(described(tmp_path, width=640), filmed=False)
+    cell = VirtualCell(setup_for(rec, holds=False, sees=math.radians(60.0), fps=8.0))
+    robot = Noting(cell)
+    with pytest.raises(RecordingError, match=r"% of the time pictures or answers.*nothing moved"):
+        drive_cell(tmp_path, planned(rec, [goal_of()], settings=replace(QUICK, rest=2.0)), cell, robot=robot)
+    assert not robot.told
+
+
 def made_drive(tmp_path: Path, **settings: Any) -> tuple[Drive, VirtualCell, Noting]:
     rec = read_recording(described(tmp_path, width=640), filmed=False)
     cell = VirtualCell(setup_for(rec, holds=False, sees=math.radians(60.0)), draws=False)

@@ -57,4 +57,4 @@ def _force_seen(
     if virtual.bench.push.after > 2.0 * MARGIN:
         rests.append((end + MARGIN, inf))
     clean = clean_force(virtual.log, rests, cutoff=cutoff)
-    return clean, force_at(clean, at), clean.noise_sd
+    return clean, force_at(clean, at)[0], clean.noise_sd

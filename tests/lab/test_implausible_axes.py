@@ -13,7 +13,7 @@ from onebend.lab.bench import PushProfile
 from onebend.lab.designs import force_that_bends
 from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_virtual, virtual_recording
 from onebend.recording.beam_frame import RestShape
-from onebend.recording.pairing import READINGS, Reading, axes_words, read_force
+from onebend.recording.force_axes import READINGS, Reading, axes_words, read_force
 from onebend.recording.tracks import angles_per_chord, check_angles
 from onebend.records import Array, Markers, Observations
 from tests.made_up import BEAM

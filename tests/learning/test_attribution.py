@@ -12,11 +12,12 @@ from onebend.learning.attribution import FORCE_SCALE, GROUPS, Attribution, attri
 from onebend.learning.linear import FitProblem, Hyperparameters, RecordingNoise, log_k_map
 from onebend.learning.normal import JointCovariance
 from onebend.learning.optimizer import FitSettings, Optimum
-from onebend.learning.parameters import RHO, TAU, Block, Layout, Priors
+from onebend.learning.parameters import RHO, TAU, Block, Layout
 from onebend.learning.posterior import fit
 from onebend.records import Array, IntArray
 from tests.learning.allowances.allowed_bench import with_everything
 from tests.learning.bench import SOFT, forces, observed
+from tests.made_up import with_stated
 
 GAIN_SD = 0.02
 S = np.linspace(0.1, 0.9, 9)
@@ -178,7 +179,7 @@ def test_shift_and_widening_are_those_of_a_fit_without_it() -> None:
     made = observed(SOFT, forces(30), at_s=0.99, noise=(2e-5, 3e-4))
     made = replace(made, push_s=np.ones(30), stated=replace(made.stated, place_sd=2.5e-3))
     settings = FitSettings(allowances=frozenset(), functions=9)
-    found, without = fit([made], settings=settings), fit([made], settings=replace(settings, priors=Priors(place=0.0)))
+    found, without = fit([made], settings=settings), fit([with_stated(made, place_sd=0.0)], settings=settings)
     s = np.linspace(0.05, 0.85, 41)
     place = {a.name: a for a in attributions(found.problem, found.optimum, 0.0, s)}["place of the push"]
     bands = [one.band(s) for one in (found, without)]

@@ -19,7 +19,6 @@ from onebend.learning import optimizer
 from onebend.learning.frames import nothing_moves
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.paper import RegressionSettings, regress
-from onebend.learning.parameters import Priors
 from onebend.learning.posterior import LEVEL, Posterior, correlations, fit, tradeoffs, with_level
 from onebend.learning.start import start_of
 from onebend.learning.validation import mounting, simulate, validate
@@ -41,7 +40,7 @@ def made(seed: int = 0) -> Observations:
 
 @cache
 def fitted(clamp: float = 3e-3) -> Posterior:
-    return fit([made()], 0.02, settings=replace(IDEAL, functions=8, priors=Priors(clamp=clamp)))
+    return fit([made()], 0.02, settings=replace(IDEAL, functions=8, clamp_sd=clamp))
 
 
 @pytest.mark.parametrize("k", [0.003, 0.03, 3.0])

@@ -14,7 +14,7 @@ import pytest
 from onebend.beam.section import modulus_band, moment_errors, one_modulus
 from onebend.errors import LearningError
 from onebend.learning.fit_data import following
-from onebend.learning.parameters import CORRELATION, LEVEL_SD, KnownShape, Priors, Spline, known_shape, make_layout
+from onebend.learning.parameters import CORRELATION, LEVEL_SD, KnownShape, Spline, known_shape, make_layout
 from onebend.learning.posterior import Posterior, fit, mass_per_length, without_section_errors
 from onebend.learning.static_poses import stated_notices
 from onebend.learning.verdict import fit_notices
@@ -145,7 +145,7 @@ def test_a_film_knows_the_section_too() -> None:
 def test_the_sections_share_is_that_of_the_exact_posterior() -> None:
     """Against every part of log k as a parameter of its own, with data on their sum."""
     o = with_stated(observed(rod(), forces(4)), section=STATED, stiffness_along="section", modulus_varies=0.1)
-    layout, rng = make_layout(Spline(9), [o], [0], Priors()), np.random.default_rng(3)
+    layout, rng = make_layout(Spline(9), [o], [0]), np.random.default_rng(3)
     parts, variances = layout.stiffness_parts, layout.first_variances
     data, noise = rng.normal(size=(6, 9)), 0.05
     seen = data @ (parts @ (np.sqrt(variances) * rng.normal(size=len(variances)))) + noise * rng.normal(size=6)

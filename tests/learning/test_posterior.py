@@ -12,10 +12,10 @@ from onebend.beam.stiffness import Gaussians, Powers, Steps, Uniform, equidistan
 from onebend.errors import LearningError
 from onebend.learning.fit_data import FitData, fit_data
 from onebend.learning.linear import RecordingNoise, ResidualRows, residual_rows, tag_information
-from onebend.learning.parameters import Layout, Priors, Spline, make_layout
+from onebend.learning.parameters import Layout, Spline, make_layout
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.prediction import predict
-from onebend.records import Array, Observations
+from onebend.records import Array, ClockOffset, Observations
 from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
 from tests.made_up import with_source, with_stated
 
@@ -23,11 +23,11 @@ S = np.linspace(0.05, 0.9, 60)
 NOISE = (2e-5, 1e-3)
 
 
-def prepared(made: Observations, priors: Priors = Priors()) -> tuple[FitData, Layout, Array]:
+def prepared(made: Observations) -> tuple[FitData, Layout, Array]:
     """A film, its parameters, and a point away from the optimum."""
     spline = Spline(8)
     seen = fit_data(made, 0, np.ones(len(made.time), dtype=bool), spline)
-    at = make_layout(spline, [made], [len(seen.error.knots)], priors)
+    at = make_layout(spline, [made], [len(seen.error.knots)])
     x = 1e-3 * np.sin(np.arange(at.size))
     x[:8] = np.log(0.02) + 0.3 * np.cos(np.arange(8))
     return seen, at, x
@@ -45,7 +45,8 @@ def test_every_derivative_matches_differences(curved: Observations, weighs: bool
         turn = np.linspace(0.0, 2.0, len(curved.time))
         gravity = 9.81 * np.stack([np.sin(turn), -np.cos(turn)], axis=1)
         curved = with_stated(replace(curved, gravity=gravity), mass=0.03)
-    seen, at, x = prepared(curved, Priors(clock=0.02, placement=5e-4, origin=5e-4))
+    clock = ClockOffset(offset=0.0, sd=0.01, stated=0.0, found=True)
+    seen, at, x = prepared(with_stated(with_source(curved, clock=clock), placement_sd=5e-4))
     assert ("mass", -1) in at.index
     assert (at.columns("mass", 0) is not None) == weighs
     slopes = predict(seen, at, x, None).slopes
@@ -180,8 +181,7 @@ def test_an_uneven_mass_is_not_taken_for_stiffness() -> None:
     made = with_stated(replace(made, gravity=gravity, rest_xy=unknown, rest_angle=unknown[:, 0]), mass=mass)
     band = fit([made], 0.03, settings=replace(IDEAL, functions=12)).band(S)
     assert np.max(np.abs(np.log(band.k / beam.stiffness(S)))) < 0.1
-    stubborn = replace(Priors(), mass_spread=1e-6)
-    even = fit([made], 0.03, settings=replace(IDEAL, functions=12, priors=stubborn)).band(S)
+    even = fit([with_stated(made, mass_along="even")], 0.03, settings=replace(IDEAL, functions=12)).band(S)
     error, worse = (np.mean(np.abs(np.log(k / beam.stiffness(S)))) for k in (band.k, even.k))
     assert worse > 1.5 * error  # the clamp's own freedom takes part of the rest
 

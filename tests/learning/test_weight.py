@@ -10,7 +10,7 @@ from onebend.beam.model import Beam
 from onebend.beam.stiffness import Uniform
 from onebend.learning.allowances import EVERY_ALLOWANCE
 from onebend.learning.fit_data import FitData, fit_data
-from onebend.learning.parameters import Layout, LearnedMass, Priors, Spline, make_layout
+from onebend.learning.parameters import Layout, LearnedMass, Spline, make_layout
 from onebend.learning.posterior import weight_doubts
 from onebend.learning.prediction import predict
 from onebend.records import Array, Observations, PointMass
@@ -65,7 +65,7 @@ def test_where_nothing_weighs_or_the_direction_is_exact_there_is_none() -> None:
 def test_its_derivative_is_the_change_of_the_tags_under_a_turned_gravity() -> None:
     def at(o: Observations) -> tuple[FitData, Layout, Array]:
         one, spline = seen(o, LEANING), Spline(8)
-        layout = make_layout(spline, [o], [len(one.error.knots)], Priors(), [one.allowances])
+        layout = make_layout(spline, [o], [len(one.error.knots)], [one.allowances])
         return one, layout, np.concatenate([np.full(8, np.log(0.03)), np.zeros(layout.size - 8)])
 
     made, h = heavy(), 1e-3

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from onebend.recording.folder import read_recording
-from onebend.recording.pairing import read_log
+from onebend.recording.force import read_log
 from onebend.recording.video import read_frames
 from onebend.report.overview import overview
 

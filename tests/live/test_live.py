@@ -20,8 +20,8 @@ from onebend.live.live import Live, LiveSettings, LiveState
 from onebend.live.review import ENDED, Reviewed, ReviewerBeside, Seen, review
 from onebend.pipeline import learn, learn_observed
 from onebend.recording.entries import GravityEntry
+from onebend.recording.force import read_log
 from onebend.recording.observe import markers_of, observe_markers
-from onebend.recording.pairing import read_log
 from onebend.recording.tag_finder import Finder
 from onebend.recording.tags import in_blocks, track_block
 from onebend.recording.video import read_frames

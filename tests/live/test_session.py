@@ -21,7 +21,7 @@ from onebend.live.session import record
 from onebend.live.sources import Clock, End, Frame, HostClock, PlayedClock, Samples, StampTiming, measurable
 from onebend.pipeline import learn
 from onebend.recording.folder import read_recording
-from onebend.recording.pairing import read_log
+from onebend.recording.force import read_log
 from onebend.recording.video import Picture, read_frames
 from onebend.records import Array
 from onebend.report.overview import overview

@@ -302,6 +302,7 @@ class ContinuationSettings:
     max_steps: int = 400
     last: float = TOLERANCE  # of an update near a known shape: a smaller one is the last, and its square is left
     at_once: bool = True  # no steps for frames whose loads all push to one side
+    grow: bool = True  # from rest, the frames that Newton's method loses near a known shape; False: they are not solved
 
 
 _PROBE_FRAMES = 4  # frames that decide the resolution of a batch
@@ -454,13 +455,13 @@ def follow(
 
 
 def refine(problem: Problem, start: Array, *, settings: ContinuationSettings = ContinuationSettings()) -> Equilibrium:
-    """Equilibria near known shapes `start` (T, Q) by Newton's method, else by `follow`."""
+    """Equilibria near known shapes `start` (T, Q) by Newton's method, else by `follow` (`grow`)."""
     full = np.ones(problem.size)
     trust, remaining = settings.max_turn * full, settings.tolerance * full
     q, near, iterations = correct(problem, start, full, trust=trust, remaining=remaining, last=settings.last)
     near &= is_stable(problem, q)  # an unstable neighbour may belong to another branch
     found, lost = found_near(problem, q, near, iterations), np.flatnonzero(~near)
-    return found.put(lost, follow(problem.take(lost), settings=settings)) if lost.size else found
+    return found.put(lost, follow(problem.take(lost), settings=settings)) if lost.size and settings.grow else found
 
 
 def _advance(problem: Problem, state: _State, frames: IntArray, settings: ContinuationSettings) -> None:

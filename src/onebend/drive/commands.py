@@ -28,7 +28,7 @@ from onebend.errors import RecordingError
 from onebend.live.commands import StateView
 from onebend.live.recording_folder import copy_description
 from onebend.options import option
-from onebend.progress import Progress, Silent, real_time
+from onebend.progress import Progress, Silent
 from onebend.recording.entries import Recording
 from onebend.recording.folder import FILE_NAME, folder_of, read_recording
 
@@ -79,7 +79,6 @@ def drive(
         if made is None:
             raise RecordingError("--robot is missing: which one is to move? See docs/drive.md.")
         with (
-            real_time(),  # of the view's thread as well
             common.stopped_by_hand(times=2) as (stop, enter),
             StateView(
                 None if quiet or as_json else common.stderr_screen(), _screen, lambda one: (one.says, one.says)
@@ -190,5 +189,10 @@ def _answer(outcome: DriveOutcome, *, data_alone: bool) -> None:
             word = "not reached" if not one.reached else "passed in time" if passed else "reached"
             said = "" if passed else f" (said: to {1e3 * one.said:.2g} mm)"
             common.say(f"({x:.4g}, {y:.4g}) mm: {word}, seen {off:.2g} mm off{said}")
+        if pauses := made.lateness.pauses:
+            common.say(
+                f"It paused {len(pauses)} times, {sum(pauses):.1f} s in all: pictures, answers or turns of the loop "
+                "were late. On a busy computer end other programs, or see docs/drive.md on real-time scheduling."
+            )
         learning = made.plan.remarks or (f"learn from it with: onebend learn {folder}",)
         common.say(f"Recorded {folder}; {learning[0]}")

@@ -2,6 +2,7 @@
 
     waiting -> driving -> staying -> (driving ...) -> returning -> resting -> done
                    any of these, at a fault or a stop -> holding -> releasing -> resting -> done
+                   where pictures, answers or turns were only late -> holding -> the same stage again
 
 To the recorder it is a force sensor: each reading is one turn of the loop and gives a row of the log. So a drive is
 recorded as any push is, and a played clock plays it as it would go in real time.
@@ -29,7 +30,7 @@ from onebend.drive.robots import ArmState, Robot, ToolForce, ToolPose
 from onebend.drive.seeing import BentModel, DelayMeter, Eye, SeenBeam, point_between
 from onebend.errors import OnebendError
 from onebend.live.force_sensors import TOOL, WRENCH
-from onebend.live.sources import Clock, End, ForceSource, Frame, Samples
+from onebend.live.sources import Clock, End, ForceSource, Frame, Samples, StampTiming
 from onebend.recording.entries import Recording
 from onebend.recording.video import Picture
 from onebend.records import Array
@@ -47,7 +48,10 @@ SETTLING = 0.5  # s for which the point must stay on its goal
 NEAR_START = 0.005  # m by which the tool may be off the beam's place where it is to touch
 THIN = (5e-4, math.radians(0.5))  # m and rad between places of the way that is walked back
 PATIENCE = 1.0  # s for which a silent robot is waited for, in hold
-MOST_HOLDS = 3  # of one drive; then the robot is left where it stands
+CALM, LONGEST_PAUSE = 0.25, 5.0  # s of pictures and answers in time, before it goes on; for which it waits for that
+MOST_PAUSES = 20  # of one drive, on its way out
+MOST_LATE = 0.2  # of the turns at rest: where more are late nothing moves
+MOST_HOLDS = 3  # of one drive, beside the pauses; then the robot is left where it stands
 AFTER_FAULT = 1.0  # s of rest behind a release
 
 
@@ -92,6 +96,19 @@ class DriveState:
         return float(np.linalg.norm(self.point - self.goal))
 
 
+@dataclass
+class Lateness:
+    """What of pictures, answers and turns of the loop was late."""
+
+    paused: tuple[Stage, str] | None = None  # the stage that goes on as soon as nothing is late any more; what was
+    pauses: list[float] = field(default_factory=list)  # s of each
+    last: float = -math.inf  # s, when something was
+    in_time: float = -math.inf  # s, when nothing was
+    at_rest: list[bool] = field(default_factory=list)  # whether something was, in each turn
+    way_here: float = math.inf  # s, the shortest from a picture's stamp to its arrival
+    waited: float = 0.0  # s, the longest beyond that since the last pause
+
+
 class Drive:
     """A plan, a robot and an eye. `read` turns the loop; `see` takes pictures, from another thread."""
 
@@ -128,7 +145,7 @@ class Drive:
         self._renewed: tuple[Controller, BentModel] | None = None
         self._asked, self._felt, self._tare = np.zeros(2), np.full(2, np.nan), np.zeros(2)
         self._raw: list[Array] = []  # (2,) N of the rest
-        self._lately: deque[Array] = deque(maxlen=LATELY)
+        self._lately: deque[Array] = deque(maxlen=LATELY)  # (3,) N, N, s: what was felt, and when
         self._seen: deque[SeenBeam] = deque()  # from the thread of `see`
         self._shapes: deque[tuple[float, Array]] = deque()  # what the model had at its places
         self._errors: deque[tuple[float, Array]] = deque()
@@ -140,15 +157,15 @@ class Drive:
         self._before: SeenBeam | None = None
         self._coarse: Picture | None = None
         self._clock: Clock | None = None
-        self._next = self._turned = -math.inf
-        self._answered = self._sighted = self._entered = self._goal_begun = math.inf
+        self._next = self._turned = self._told_state = -math.inf
         self._pictured = -math.inf  # arrival of the newest picture that is not the one before
-        self._changed, self._same_at_rest = math.inf, 0.0
+        self._answered = self._sighted = self._entered = self._goal_begun = self._changed = math.inf
+        self._same_at_rest = 0.0
         self._film_begun, self._film = math.nan, (math.nan, math.nan)  # arrival and film time of the newest picture
         self._refused, self._camera_why, self._refused_by = "", "", ""
-        self._doubted, self._told_state = 0, -math.inf
-        self._settled = self._stop = False
-        self._trouble, self._holds = False, 0
+        self._settled = self._stop = self._trouble = False
+        self._doubted = self._holds = 0
+        self.lateness = Lateness()
 
     # To the recorder: a force sensor that is read turn by turn.
 
@@ -213,14 +230,17 @@ class Drive:
 
     # Pictures, from the threads of the camera and of the recorder.
 
-    def came(self, frame: Frame) -> None:
-        """The camera gave a picture."""
+    def came(self, frame: Frame, timing: StampTiming) -> Frame:
+        """The camera gave a picture: the same, which arrived when its stamp says that it should have, if it tells."""
+        if timing.host and math.isfinite(frame.stamp):
+            self.lateness.way_here = min(self.lateness.way_here, frame.arrival - frame.stamp)
+            due = frame.stamp + self.lateness.way_here
+            self.lateness.waited = max(self.lateness.waited, frame.arrival - due)
+            frame = replace(frame, arrival=due)
         coarse = frame.picture[::8, ::8]
-        if self._coarse is None or not np.array_equal(coarse, self._coarse):
-            self._coarse, self._pictured = (
-                coarse.copy(),
-                frame.arrival,
-            )  # a camera that hangs shows the same noise again
+        if self._coarse is None or not np.array_equal(coarse, self._coarse):  # one that hangs shows its noise again
+            self._coarse, self._pictured = coarse.copy(), frame.arrival
+        return frame
 
     def see(self, frame: Frame, time: float, corners: Array) -> None:
         """A picture of the film at `time` [s], and its corners (b + m, 4, 2) px."""
@@ -242,6 +262,11 @@ class Drive:
                 raise OnebendError(
                     f"in {self._settings.rest:.3g} s of rest all tags were seen in {self.eye.rested} pictures, and the "
                     f"force came {len(self._raw)} times: look at onebend record first"
+                )
+            if (late := float(np.mean(self.lateness.at_rest))) > MOST_LATE:
+                raise OnebendError(
+                    f"at rest, {100.0 * late:.0f} % of the time pictures or answers were more than "
+                    f"{1e3 * SILENCE:.0f} ms late. End other programs, or let this one be scheduled in real time"
                 )
             self.eye.settle((shape[0], shape[1]), self.plan.gravity)
             self._place = self._placed()
@@ -288,21 +313,25 @@ class Drive:
             return nothing
 
     def _turn(self, now: float) -> Samples | None:
-        late, self._turned = now - self._turned, now
+        slow, self._turned = now - self._turned, now
         self._ask(now)
         rows = self._feel(now)
         seen = self._newest(now)
-        trouble = self._wrong(now, late)
+        late = self._late(now, slow)
+        trouble = late or self._wrong()
         if self._stop:
             self._stop = False
-            if self.stage in ("holding", "releasing"):
+            if self.lateness.paused is not None:
+                self.lateness.paused = None
+                self._say("holds: stopped by hand")
+            elif self.stage in ("holding", "releasing"):
                 self._end(now, "let go at once, as asked")
             elif self.stage != "waiting":
                 self._halt(now, "stopped by hand", fault=False)
             else:
                 self._end(now, "stopped by hand")
         elif trouble:
-            self._halt(now, trouble, fault=True)
+            self._halt(now, trouble, fault=True, passes=bool(late))
         try:
             self._act(now, seen)
         except Exception as wrong:  # each package has errors of its own
@@ -368,7 +397,7 @@ class Drive:
             self._raw = [raw]
             assert self.eye.reader is not None
             self._felt = self.eye.reader.to_beam.T @ raw - self._tare
-            self._lately.append(self._felt)
+            self._lately.append(np.append(self._felt, now))
         return rows
 
     def _newest(self, now: float) -> SeenBeam | None:
@@ -378,16 +407,15 @@ class Drive:
             newest = self._seen.popleft()
         if newest is None:
             return None
-        waited = now - newest.arrival
-        self._refused = f"pictures wait {1e3 * waited:.0f} ms" if waited > SILENCE else self._unlikely(newest)
-        if self._refused:
+        self._refused = self._unlikely(newest)
+        if self._refused or now - newest.arrival > SILENCE:
             return None
         self._sighted, self._before = now, newest
         return newest
 
     def _unlikely(self, seen: SeenBeam) -> str:
         """Why what a picture shows cannot be; empty where it can."""
-        if self.stage not in LED:
+        if self._doing not in LED:
             return ""
         point, _ = self._point(seen)
         if not np.isfinite(point).all():
@@ -422,25 +450,45 @@ class Drive:
 
     # What is watched.
 
-    def _wrong(self, now: float, late: float) -> str:
+    @property
+    def _doing(self) -> Stage:
+        """The stage, or that in which it pauses."""
+        return self.stage if self.lateness.paused is None else self.lateness.paused[0]
+
+    def _late(self, now: float, slow: float) -> str:
+        """What is late, in words: it may pass; `slow` [s]: since the last turn began. Empty where nothing is."""
+        late, led = "", self._doing in LED and not self._camera_why
+        if self._doing not in GOING:
+            if not math.isnan(self._film_begun):
+                self.lateness.at_rest.append(slow > SLOW_LOOP or now - min(self._answered, self._pictured) > SILENCE)
+        elif slow > SLOW_LOOP:
+            late = f"one turn of the loop took {1e3 * slow:.0f} ms: this computer is busy"
+        elif now - self._answered > SILENCE:
+            late = f"{self.name} answers no more{self._refused_by}"
+        elif led and now - self._pictured > SILENCE:
+            late = f"no new picture came for {1e3 * (now - self._pictured):.0f} ms: the camera hangs, or is cut off"
+        elif led and now - self._sighted > SILENCE and not self._refused:
+            late = f"pictures wait {1e3 * (now - self._sighted):.0f} ms: this computer is busy"
+        if late or self._refused:
+            self.lateness.last = now
+        elif self.lateness.paused is not None:
+            self.lateness.in_time = now
+        return late
+
+    def _wrong(self) -> str:
         """What is wrong, in words; empty where nothing is."""
         if self.stage not in GOING:
             return ""
-        if late > SLOW_LOOP:
-            return f"one turn of the loop took {1e3 * late:.0f} ms"
-        if now - self._answered > SILENCE:
-            return f"{self.name} answers no more{self._refused_by}"
         if self.stage != "releasing" and (soon := self._force_soon()) > (limit := self._limits.force):
             return f"{soon:.3g} N will be on the beam in {1e3 * AHEAD:.0f} ms, and {limit:.3g} N are allowed"
-        return self._wrong_while_led(now) if self.stage in LED else ""
+        return self._wrong_while_led() if self.stage in LED else ""
 
-    def _wrong_while_led(self, now: float) -> str:
+    def _wrong_while_led(self) -> str:
+        now = self._turned
         if self._camera_why:
             return self._camera_why
-        if now - self._pictured > SILENCE:
-            return f"no new picture came for {1e3 * (now - self._pictured):.0f} ms: the camera hangs, or is cut off"
         if now - self._sighted > SILENCE:
-            return f"the point is not seen any more: {self._refused or 'its tags are hidden'}"
+            return f"the point is not seen any more: {self._refused}"
         if now - self._changed > max(SILENCE, 3.0 * self._same_at_rest):
             return "the force sensor is stuck: it gives the same number again and again"
         if (longest := self._settings.longest_delay) < self.meter.delay - 2.0 * self.meter.sd:
@@ -458,9 +506,9 @@ class Drive:
         """N that will be on the beam when an order to hold has been obeyed: the newest force and its trend."""
         if len(self._lately) < LATELY:
             return 0.0
-        size = np.hypot(*np.array(self._lately).T)
-        times = self._period * (np.arange(LATELY) - 0.5 * (LATELY - 1))
-        trend = float(times @ size) / float(times @ times)
+        x, y, time = np.array(self._lately).T
+        size, since = np.hypot(x, y), time - time.mean()
+        trend = float(since @ size) / float(since @ since)
         return float(size[-IN_A_ROW:].mean()) + AHEAD * max(trend, 0.0)
 
     def _force_doubt(self) -> float:
@@ -471,7 +519,7 @@ class Drive:
         force."""
         if not np.isfinite(self._felt).all():
             return 0.0
-        force, best = np.mean([*self._lately][-IN_A_ROW:], axis=0), math.inf
+        force, best = np.mean([*self._lately][-IN_A_ROW:], axis=0)[:2], math.inf
         for factor in _FACTORS:
             k_off = math.log(factor) / self._k_sd
             best = min(best, math.hypot(k_off, self._place_doubt(factor * force)))
@@ -631,40 +679,59 @@ class Drive:
 
     # Holding, releasing, coming back.
 
-    def _halt(self, now: float, why: str, *, fault: bool) -> None:
-        """Hold at once; the release comes after."""
+    def _halt(self, now: float, why: str, *, fault: bool, passes: bool = False) -> None:
+        """Hold at once; the release comes after, or where it `passes` it goes on."""
         if self.stage in ("holding", "resting", "done"):
             return
         if self.stage == "waiting":
             self._trouble |= fault
             self._end(now, why)
             return
-        self._trouble, self._holds = self._trouble | fault, self._holds + 1
+        pauses = passes and (len(self.lateness.pauses) < MOST_PAUSES or self.stage not in LED)
+        self.lateness.paused = (self.stage, why) if pauses else None
+        self._holds += not pauses
         if self._holds > MOST_HOLDS:
+            self._trouble |= fault
             self._end(now, f"{why}: for the {self._holds}th time, and it is left where it stands")
             return
         try:
             self._robot.hold()
         except Exception as wrong:  # each package has errors of its own
             why += f"; and it does not take the order to hold ({wrong})"
-        self._say(f"holds: {why}", fault=fault)
+        self._say(f"holds: {why}", fault=fault and not pauses)
         self._enter("holding", now)
 
     def _held(self, now: float) -> None:
-        silent = now - self._answered
+        silent, waited = now - self._answered, now - self._entered
         if silent > SILENCE:
             if silent > PATIENCE:
-                self._end(now, f"{self.name} stays silent: it stops by itself. Look at it before you touch the beam")
+                self._trouble = True
+                self._end(now, f"{self.name} answers no more: it stops by itself. Look at it before you touch the beam")
             return
-        if now - self._entered >= self._settings.hold:
+        if self.lateness.paused is not None and now - self.lateness.last > CALM:
+            self._resume(now, self.lateness.paused[0])
+        elif now - max(self._entered, self.lateness.in_time) >= self._settings.hold or waited >= LONGEST_PAUSE:
             self._go_back(now, "releasing")
+
+    def _resume(self, now: float, stage: Stage) -> None:
+        """Go on with what it did; the way to the goal had no time meanwhile."""
+        pause, self.lateness.paused, self._doubted = now - self._entered, None, 0
+        self.lateness.pauses.append(pause)
+        busy, self.lateness.waited = self.lateness.waited > 0.5 * SILENCE, 0.0
+        self._say(f"goes on after {pause:.1f} s{': pictures had waited, as this computer was busy' if busy else ''}")
+        if self._loop is not None:
+            self._loop = replace(self._loop, began=self._loop.began + pause, frame_at=now)
+        self._goal_begun += pause
+        self._errors.clear()
+        self._enter(stage, now)
 
     def _go_back(self, now: float, stage: Stage) -> None:
         assert self._arm is not None
         if self._settings.by == "force":
             self._robot.hold()
         self._told = self._arm.pose if stage == "releasing" or self._settings.by == "force" else self._told
-        self._say("releases slowly" if stage == "releasing" else "goes back")
+        late, self.lateness.paused = "" if self.lateness.paused is None else f": {self.lateness.paused[1]}", None
+        self._say(f"releases slowly{late}" if stage == "releasing" else "goes back", fault=bool(late))
         self._enter(stage, now)
 
     def _walk_back(self, now: float) -> None:
@@ -741,7 +808,7 @@ class Drive:
         (control, model), self._renewed = self._renewed, None
         if not np.allclose(control.goal, self._control.goal):
             return
-        stiffer = mean_ratio(control.beam, self._control.beam)
+        stiffer = mean_ratio(control.beam, self._control.beam, self.plan.push_s)
         wanted = stiffer * self._asked
         if not model.bend(wanted):
             return
@@ -781,7 +848,15 @@ def way_between(here: ToolPose, there: ToolPose) -> float:
     return max(float(np.linalg.norm(there.position - here.position)), ARM * turn)
 
 
-def mean_ratio(beam: Beam, other: Beam) -> float:
-    """The geometric mean over s of k of one over that of the other."""
-    s = np.linspace(0.0, 1.0, 41)
-    return float(np.exp(np.mean(np.log(np.asarray(beam.stiffness(s)) / np.asarray(other.stiffness(s))))))
+def bending_weights(push_s: float) -> tuple[Array, Array]:
+    """(S,) places s and weights, whose sum is 1: how much each counts when a force across the straight beam at `push_s`
+    bends it."""
+    s = push_s * np.linspace(0.0, 1.0, 41)
+    weights = (push_s - s) ** 2
+    return s, weights / weights.sum()
+
+
+def mean_ratio(beam: Beam, other: Beam, push_s: float) -> float:
+    """The geometric mean over s of k of one over that of the other, with `bending_weights`."""
+    s, weights = bending_weights(push_s)
+    return float(np.exp(weights @ np.log(np.asarray(beam.stiffness(s)) / np.asarray(other.stiffness(s)))))

@@ -5,30 +5,34 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
+from multiprocessing.process import BaseProcess
+from multiprocessing.queues import Queue
 from pathlib import Path
+from queue import Empty
 from typing import Any
 
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import UncertainStiffness
-from onebend.control.loop import Controller, ControllerSettings, controller
-from onebend.drive.machine import Drive, DriveState, mean_ratio
+from onebend.control.loop import Controller, controller
+from onebend.drive.machine import Drive, DriveState, bending_weights, mean_ratio
 from onebend.drive.plan import DrivePlan, plan_data
 from onebend.drive.robots import Robot
 from onebend.errors import OnebendError, RecordingError
 from onebend.files.single_file import write_file
 from onebend.live.guidance import CaptureOutcome, CaptureSettings, CaptureState, Stop
-from onebend.live.live import LiveSettings
+from onebend.live.live import Live, LiveSettings
 from onebend.live.recording_folder import GrowingTable, with_values
-from onebend.live.session import record
+from onebend.live.session import Follower, record
 from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame
 from onebend.progress import interrupts_held, leave_interrupts_to_parent, real_time
+from onebend.recording.entries import Recording
 from onebend.recording.folder import FILE_NAME, read_recording
+from onebend.recording.tags import TrackedFrame
+from onebend.recording.video import Picture
 from onebend.records import Array
 from onebend.text_files import MOST_TOML, read_text, to_json
 
@@ -38,7 +42,7 @@ COLUMNS = (
     *("tool_x_m", "tool_y_m", "delay_s"),
 )
 _FORMATS = ("%.6f", "%d", *("%.7g",) * 10)
-LEARNED_CHANGE = 0.03  # of k, on average: less is not worth a new plan
+LEARNED_CHANGE = 0.03  # of k, on average: less, or less than 2 sd, is not worth a new plan
 LEARNED_EVERY = 3.0  # s
 
 
@@ -79,7 +83,7 @@ class _Watched:
         if not self._ended:
             got = self._camera.read(wait)
             if isinstance(got, Frame):
-                self._drive.came(got)
+                got = self._drive.came(got, self.timing)
             if not isinstance(got, End) or self._drive.stage == "waiting":
                 return got
             self._ended = True
@@ -110,29 +114,28 @@ def drive(
     rec = read_recording(folder, filmed=False)
     made = Drive(plan, robot, rec, sensor, watch)
     over, table = threading.Event(), _DriveTable(folder / TABLE, made, overwrite=overwrite)
-    learner = Renewer(made, beside=beside) if plan.settings.learn else None
 
     def now_and_then(state: CaptureState) -> None:
         was, pressed[0] = pressed[0], stop is not None and stop.is_set()
         if pressed[0] and not was:
             made.stop()
-        if learner is not None and state.stiffness is not None and state.live is not None:
-            learner.learned(
-                state.stiffness, doubtful=state.live.verdict.grade == "not to be trusted", now=state.seconds
-            )
+        if learner is not None:
+            learner.go_on(state.seconds)
         if made.over:
             over.set()
 
     pressed = [False]
     settings = CaptureSettings(
-        ends=False, setup=setup, share=0.0, rest=plan.settings.rest, follow=plan.settings.learn, overwrite=overwrite,
-        longest=1e5, live_beside=beside, live=LiveSettings(),
+        ends=False, setup=setup, share=0.0, rest=plan.settings.rest, follow=False, overwrite=overwrite,
+        longest=1e5, most_waiting=0,
     )  # fmt: skip
+    learner = Renewer(made, rec, settings, beside=beside) if plan.settings.learn else None
     try:
         with real_time() if clock is None else nullcontext():
             recorded = record(
-                folder, _Watched(camera, made), made, settings, now_and_then, over, clock=clock, tags=table.see
-            )
+                folder, _Watched(camera, made), made, settings, now_and_then, over, clock=clock, tags=table.see,
+                follower=learner,
+            )  # fmt: skip
     finally:
         table.close()
         if learner is not None:
@@ -176,6 +179,7 @@ def drive_data(plan: DrivePlan, made: Drive) -> dict[str, Any]:
         "delay_sd_s": made.meter.sd,
         "picture_to_command_s": _middle_and_worst(latency),
         "turn_s": _middle_and_worst(turns),
+        "pauses_s": made.lateness.pauses,
     }
 
 
@@ -213,53 +217,110 @@ class _DriveTable:
             self._table.close()
 
 
-# A controller of k(s) as it is learned while driving, made by a process beside this one: it takes a second or two.
+# k(s), learned while driving from what the tags and the sensor show, and a new controller by it. All of it is done in a
+# process beside this one: it takes seconds at a time.
+
+_REVIEWS = LiveSettings(least_apart=3.0, review_growth=1.5)  # for some seconds each no frame is learned from
 
 
-def renewed_controller(
-    beam: Beam, goal: Array, start: Array, where: dict[str, Any], settings: ControllerSettings
-) -> Controller | None:
-    """The loop to the goal from the force `start`; None where this beam cannot be led there."""
-    try:
-        return controller(beam, goal, start=start, settings=settings, **where)
-    except OnebendError:
-        return None
+class _Learner:
+    """k(s) so far, and controllers by it."""
+
+    def __init__(self, plan: DrivePlan, rec: Recording, error: float) -> None:
+        """The clock of the force is that of the film to `error` [s]."""
+        self.live = Live(rec, clock=(0.0, error), settings=_REVIEWS, beside=False)
+        self._plan = plan
+
+    def renewed(self, goal: Array, force: Array, old: Beam) -> Controller | None:
+        """The loop to the goal (2,) m by k(s) as it is known now, from the force (2,) N that holds the `old` beam where
+        it is; None where k(s) is not known to be another, or where this beam cannot be led there."""
+        known, plan, control = self.live.state(), self._plan, self._plan.goals[0].control
+        if known.stiffness is None or known.verdict.grade == "not to be trusted":
+            return None
+        beam = replace(old, stiffness=known.stiffness.profile)
+        stiffer = mean_ratio(beam, old, plan.push_s)
+        s, weights = bending_weights(plan.push_s)
+        sd = math.sqrt(weights @ known.stiffness.log_covariance(s) @ weights + known.stiffness.gain_sd**2)
+        if abs(math.log(stiffer)) < max(LEARNED_CHANGE, 2.0 * sd):
+            return None
+        try:
+            return controller(
+                beam, goal, push_s=plan.push_s, point_s=plan.point_s, gravity=plan.gravity, start=stiffer * force,
+                settings=replace(control.settings, gains=control.gains),
+            )  # fmt: skip
+        except OnebendError:
+            return None
 
 
-class Renewer:
-    """Plans anew when k(s) is known better."""
+class Renewer(Follower):
+    """Finds the tags, tells a learner, and the drive how to go on."""
 
-    def __init__(self, made: Drive, *, beside: bool) -> None:
-        self._drive, self._beside, self._next = made, beside, 0.0
-        self._pool: ProcessPoolExecutor | None = None
-        self._coming: Future[Controller | None] | None = None
+    def __init__(self, made: Drive, rec: Recording, settings: CaptureSettings, *, beside: bool) -> None:
+        """`beside`: the learner has a process of its own."""
+        super().__init__(rec, settings)
+        self._drive, self._next, self._asked = made, 0.0, False
+        self._learner: _Learner | None = None
+        self._process: BaseProcess | None = None
+        context = get_context("spawn")
+        self._told, self._made = context.Queue(), context.Queue()  # a thread fills them: no turn waits
+        if beside:
+            self._process = context.Process(target=_learn, args=(made.plan, self._told, self._made), daemon=True)
+            with interrupts_held():
+                self._process.start()
 
-    def learned(self, known: UncertainStiffness, *, doubtful: bool, now: float) -> None:
-        """k(s) as it is known at `now` [s]."""
-        if self._coming is not None and self._coming.done():
-            coming, self._coming = self._coming, None
-            if coming.exception() is None and (made := coming.result()) is not None:
-                self._drive.renew(made)
+    def begin(self, error: float) -> None:
+        super().begin(error)
+        if self._process is None:
+            self._learner = _Learner(self._drive.plan, self.rec, error)
+        else:
+            self._told.put((self.rec, error))
+
+    def frame(self, picture: Picture, time: float) -> TrackedFrame | None:
+        seen = super().frame(picture, time)
+        if seen is not None:
+            self._tell("tracked", seen)
+        return seen
+
+    def force(self, time: Array, force: Array, place: Array | None) -> None:
+        if len(time):
+            self._tell("force", time, force, place)
+
+    def go_on(self, now: float) -> None:
+        """Take the controller that was made, and ask for another; `now` [s]."""
+        with suppress(Empty):
+            while self._asked:
+                made, self._asked = self._made.get_nowait(), False
+                if made is not None:
+                    self._drive.renew(made)
         lead = self._drive.leads_to
-        if doubtful or lead is None or self._coming is not None or now < self._next:
-            return
-        goal, force, old = lead
-        beam = replace(old, stiffness=known.profile)
-        if abs(math.log(mean_ratio(beam, old))) < LEARNED_CHANGE:
-            return
-        self._next = now + LEARNED_EVERY
-        plan, control = self._drive.plan, self._drive.plan.goals[0].control
-        where = {"push_s": plan.push_s, "point_s": plan.point_s, "gravity": plan.gravity}
-        asked = (beam, goal, mean_ratio(beam, old) * force, where, replace(control.settings, gains=control.gains))
-        if not self._beside:
-            self._coming = Future()
-            self._coming.set_result(renewed_controller(*asked))
-            return
-        if self._pool is None:
-            self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=leave_interrupts_to_parent)
-        with interrupts_held():
-            self._coming = self._pool.submit(renewed_controller, *asked)
+        if lead is not None and not self._asked and now >= self._next:
+            self._next, self._asked = now + LEARNED_EVERY, True
+            self._tell("renewed", *lead)
+
+    def _tell(self, what: str, *values: Any) -> None:
+        if self._learner is None:
+            self._told.put((what, values))
+        else:
+            _obey(self._learner, what, values, self._made)
 
     def close(self) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(wait=False, cancel_futures=True)
+        super().close()
+        if self._process is not None:
+            self._told.cancel_join_thread()
+            self._process.kill()
+
+
+def _learn(plan: DrivePlan, told: Queue[Any], made: Queue[Controller | None]) -> None:
+    """The process."""
+    leave_interrupts_to_parent()
+    learner = _Learner(plan, *told.get())
+    while True:
+        what, values = told.get()
+        _obey(learner, what, values, made)
+
+
+def _obey(learner: _Learner, what: str, values: tuple[Any, ...], made: Queue[Controller | None]) -> None:
+    if what == "renewed":
+        made.put(learner.renewed(*values))
+    else:
+        getattr(learner.live, what)(*values)

@@ -279,14 +279,20 @@ class VirtualRobot:
         context = get_context("spawn")
         self._orders, orders = context.Pipe()
         states, self._states = context.Pipe(duplex=False)
-        frames, self._frames = context.Pipe(duplex=False)
-        self._here, self._camera_here = states, frames
-        self._process = context.Process(target=_serve, args=(setup, orders, self._states, self._frames), daemon=True)
+        pictures, self._frames = context.Pipe(duplex=False)
+        size, self._here = setup.rec.camera, states
+        assert size is not None
+        film = _Film(
+            context.RawArray("B", _BUFFERS * size.width * size.height), context.Semaphore(_BUFFERS), size.height
+        )  # fmt: skip
+        self._camera = VirtualCamera(pictures, film, self.begin)
+        there = (setup, orders, self._states, self._frames, film)
+        self._process = context.Process(target=_serve, args=there, daemon=True)
         self._newest: ArmState | None = None
 
     def camera(self) -> VirtualCamera:
         """Its camera; it is read only while the robot is connected."""
-        return VirtualCamera(self._camera_here, self.begin)
+        return self._camera
 
     def begin(self) -> None:
         """Start the process, once."""
@@ -329,6 +335,22 @@ class VirtualRobot:
 
 
 _PATIENCE = 60.0  # s for a process to begin
+_BUFFERS = 4  # pictures that the camera keeps until they are read; further ones are lost
+
+
+@dataclass(frozen=True)
+class _Film:
+    """Memory that both processes see: a pipe would hand a picture over in a dozen pieces, each when the other has the
+    processor."""
+
+    bytes: Any
+    free: Any  # semaphore: buffers that may be written
+    height: int
+
+    def buffer(self, number: int) -> Picture:
+        """(H, W) of a picture."""
+        buffers = np.frombuffer(self.bytes, np.uint8).reshape(_BUFFERS, self.height, -1)
+        return np.asarray(buffers[number % _BUFFERS])
 
 
 class VirtualCamera:
@@ -337,8 +359,8 @@ class VirtualCamera:
     name = "the virtual camera"
     timing = StampTiming(host=True, delay=0.0, delay_error=0.005)
 
-    def __init__(self, frames: Connection, begin: Callable[[], None]) -> None:
-        self._frames, self._begin = frames, begin
+    def __init__(self, frames: Connection, film: _Film, begin: Callable[[], None]) -> None:
+        self._frames, self._film, self._begin = frames, film, begin
         self._clock: Clock | None = None
 
     def open(self, clock: Clock) -> None:
@@ -353,23 +375,25 @@ class VirtualCamera:
         try:
             if not self._frames.poll(wait):
                 return None
-            picture, exposed, number = self._frames.recv()
+            exposed, number, buffer = self._frames.recv()
         except (EOFError, OSError):
             return End(f"{self.name} is gone", fault=True)
+        picture = self._film.buffer(buffer).copy()
+        self._film.free.release()
         return Frame(picture, exposed, self._clock.now(), number)
 
 
-def _serve(setup: VirtualSetup, orders: Connection, states: Connection, frames: Connection) -> None:
+def _serve(setup: VirtualSetup, orders: Connection, states: Connection, frames: Connection, film: _Film) -> None:
     """The process: it keeps up with the clock, and says what is new."""
     leave_interrupts_to_parent()
     with real_time():
-        _keep_up(setup, orders, states, frames)
+        _keep_up(setup, orders, states, frames, film)
 
 
-def _keep_up(setup: VirtualSetup, orders: Connection, states: Connection, frames: Connection) -> None:
+def _keep_up(setup: VirtualSetup, orders: Connection, states: Connection, frames: Connection, film: _Film) -> None:
     cell = VirtualCell(setup, host.monotonic())
     ready: deque[tuple[float, float, Picture]] = deque()
-    number, asked, heard = 0, True, math.inf
+    number, sent, asked, heard = 0, 0, True, math.inf
     try:
         while asked:
             now = host.monotonic()
@@ -385,7 +409,10 @@ def _keep_up(setup: VirtualSetup, orders: Connection, states: Connection, frames
                 ready.append((due, exposed, draw()))
             while ready and ready[0][0] <= host.monotonic():
                 _, exposed, picture = ready.popleft()
-                frames.send((picture, exposed, number))
+                if film.free.acquire(block=False):
+                    film.buffer(sent)[:] = picture
+                    frames.send((exposed, number, sent))
+                    sent += 1
                 number += 1
             while orders.poll():
                 heard, asked = now, _obey(cell, orders, orders.recv()) and asked

@@ -39,7 +39,6 @@ from .parameters import (
     KnownShape as KnownShape,
     Layout as Layout,
     LearnedMass as LearnedMass,
-    Priors as Priors,
     Spline as Spline,
 )
 from .posterior import Nuisance as Nuisance, Quantities as Quantities

@@ -26,7 +26,7 @@ from onebend.learning.allowances import (
 )
 from onebend.learning.force_error import ForceError, force_error
 from onebend.learning.frames import known_loads, mass_profile, pose_whitening, push_places, typical
-from onebend.learning.parameters import NEEDS_MASS, KnownShape, Priors, Spline, curvature_sd
+from onebend.learning.parameters import NEEDS_MASS, KnownShape, Spline, curvature_sd
 from onebend.learning.static_poses import HeldEnds, SeenPoses, held_ends, resolution_of, seen_poses
 from onebend.recording.signals import low_pass
 from onebend.recording.tracks import chord_angles
@@ -56,11 +56,11 @@ class AtRest:
         return out
 
 
-def at_rest(observations: Observations, priors: Priors = Priors()) -> AtRest:
+def at_rest(observations: Observations) -> AtRest:
     """Natural curvature and mounting from the frames before contact (maximum a posteriori, Gauss-Newton)."""
     o, m = observations, len(observations.marker_s)
     known: BoolArray = np.asarray(np.isfinite(o.rest_xy).all(axis=1))
-    theta, bent_sd = np.zeros(_REST_MODES.n), curvature_sd(o, priors)
+    theta, bent_sd = np.zeros(_REST_MODES.n), curvature_sd(o)
     if not np.any(known):
         return AtRest(theta, np.zeros((m, 2)), np.zeros(m), seen=False)
     if bent_sd > 0.0:
@@ -271,7 +271,7 @@ def fit_data(
         force, rate = np.vstack([force, np.zeros(2)]), np.vstack([rate, np.zeros(2)])
         push_s, gravity = np.append(push_s, push_s[-1]), np.vstack([gravity, np.zeros(2)])
         weights = np.vstack([weights, np.zeros(weights.shape[1])])
-        other = _rested(other)
+        other = rested(other)
     tags, across = tags_among(o), np.zeros((*measured.shape[:2], 2))
     direction = measured[:, ~tags, 2]
     across[:, ~tags] = np.stack([-np.sin(direction), np.cos(direction)], axis=-1)
@@ -333,7 +333,7 @@ def _rate(o: Observations) -> Array:
     return np.stack([np.interp(o.time, time, slope[:, c]) for c in range(2)], axis=1)
 
 
-def _rested(loads: Loads) -> Loads:
+def rested(loads: Loads) -> Loads:
     """One frame more, in which nothing acts."""
     if loads.size == 1:
         return loads

@@ -286,6 +286,9 @@ _STRATA = (np.arange(15) + 0.5) / 15.0  # of a normal that a mixture is made of
 _BINS = 8000  # of a mixture, from its smallest stratum to its largest
 
 
+_PLAIN = np.ones((len(SHAPE_LEVELS), len(SHAPE_PLACES)))
+
+
 @dataclass(frozen=True)
 class StiffnessMixture:
     """log k's coefficients, its scales averaged over."""
@@ -299,8 +302,7 @@ class StiffnessMixture:
 def normal_mixture(mean: Array, covariance: Array) -> StiffnessMixture:
     """log k's coefficients where the sizes in their prior are known: mean (p,), covariance (P, P) with theirs first."""
     p = len(mean)
-    shape = np.ones((len(SHAPE_LEVELS), len(SHAPE_PLACES)))
-    return StiffnessMixture(mean, covariance[:p, :p], np.zeros(p - 1), shape)
+    return StiffnessMixture(mean, covariance[:p, :p], np.zeros(p - 1), _PLAIN)
 
 
 @dataclass(frozen=True)
@@ -383,14 +385,14 @@ class Target:
 
 def target_of(spline: Spline, forms: Sequence[InformationForm], level: float, each: int) -> Target:
     """Of log k around `level`, `each` chains for every form, by its directions with information."""
-    rows, seen = [], []
+    rows, seen, told = [], [], [1]
     for form in forms:
         e, u = np.linalg.eigh(form.matrix)
+        told.append(int(np.sum(e > _LEAST_INFORMATION)))
         root = np.sqrt(np.maximum(e, _LEAST_INFORMATION))
         rows.append(root[:, None] * u.T)
         seen.append((u.T @ form.vector) / root - rows[-1] @ np.full(spline.count, level))
-    kept = max(int(np.max(np.sum([np.linalg.eigvalsh(t.matrix) > _LEAST_INFORMATION for t in forms], axis=1))), 1)
-    on_log_k, shown = (np.repeat(np.stack(one)[:, -kept:], each, axis=0) for one in (rows, seen))
+    on_log_k, shown = (np.repeat(np.stack(one)[:, -max(told) :], each, axis=0) for one in (rows, seen))
     return Target(spline, on_log_k, shown, np.repeat([t.weight for t in forms], each) / each)
 
 
@@ -406,6 +408,7 @@ class Draws:
     chains: int
     burn: int
     kept: int
+    shaped: bool = True  # False: bands are taken to be as wide as those of a normal of the same sd
 
 
 def mean_part_variances(
@@ -424,14 +427,16 @@ def stiffness_mixture(
 ) -> StiffnessMixture:
     """Posterior of log k around `level`; `start` as for `mean_part_variances`."""
     target = target_of(spline, forms, level, draws.chains)
-    mean, covariance, steps, (means, sds) = moments_of(target, list(drawn_chains(target, draws, start)))
-    shape = _shape(means, sds, np.tile(target.share, draws.kept) / draws.kept)
+    chains = list(drawn_chains(target, draws, start))
+    mean, covariance, steps, normals = moments_of(target, chains, draws.shaped)
+    weight = np.tile(target.share, draws.kept) / draws.kept
+    shape = _PLAIN if normals is None else _shape(normals[0], normals[1], weight)
     return StiffnessMixture(mean + level, covariance, steps, shape)
 
 
-def moments_of(target: Target, draws: Sequence[_Chains]) -> tuple[Array, Array, Array, Array]:
-    """Mean (p,) and covariance (p, p) of log k less its level, the mean steps (p - 1,), and means and sds (2, N, S) of
-    the normals that the mixture is made of, at `SHAPE_PLACES`."""
+def moments_of(target: Target, draws: Sequence[_Chains], shaped: bool) -> tuple[Array, Array, Array, Array | None]:
+    """Mean (p,) and covariance (p, p) of log k less its level, the mean steps (p - 1,), and where its bands are to be
+    `shaped` means and sds (2, N, S) of the normals that the mixture is made of, at `SHAPE_PLACES`."""
     p = target.spline.count
     mean, second, marginals = np.zeros(p), np.zeros((p, p)), []
     parts = np.zeros(target.weights.shape[1])
@@ -446,11 +451,14 @@ def moments_of(target: Target, draws: Sequence[_Chains]) -> tuple[Array, Array, 
         second += (means.T * target.share) @ means - np.tensordot(weighted, weighted, ((0, 1), (0, 1)))
         mean += target.share @ means
         parts += target.share @ of_parts
+        if not shaped:
+            continue
         left = now.variance @ squares - np.sum((away @ basis.T) ** 2, axis=1)
         marginals.append(np.stack([means @ basis.T, np.sqrt(np.maximum(left, 0.0))]))
     mean, second, parts = mean / len(draws), second / len(draws), parts / len(draws)
     covariance = second - np.outer(mean, mean)
-    return mean, 0.5 * (covariance + covariance.T), parts[p : 2 * p - 1], np.concatenate(marginals, axis=1)
+    normals = np.concatenate(marginals, axis=1) if shaped else None
+    return mean, 0.5 * (covariance + covariance.T), parts[p : 2 * p - 1], normals
 
 
 def drawn_chains(

@@ -51,11 +51,12 @@ from onebend.learning.linear import (
     tool_score,
 )
 from onebend.learning.normal import InformationForm, JointCovariance
-from onebend.learning.parameters import Layout, Priors, Spline, known_shape, make_layout
+from onebend.learning.parameters import Layout, Spline, known_shape, make_layout
 from onebend.learning.prediction import Prediction, predict
 from onebend.learning.static_poses import pose_rms, unexplained
+from onebend.options import NOT_NEGATIVE, option
 from onebend.progress import Progress, Silent, each
-from onebend.records import Array, BoolArray, Observations, covariance_with_camera, marker_words
+from onebend.records import CLAMP_SD, Array, BoolArray, Observations, covariance_with_camera, marker_words
 
 # Levenberg-Marquardt along curved valleys: trial steps are corrected by chord Newton steps, which need no new
 # derivatives. See Transtrum and Sethna (2012) on the geometry.
@@ -596,7 +597,14 @@ class FitSettings:
     most_frames_together: int = 5000  # of all recordings
     first_frames: int = 24  # of each recording, for the way from the start to near the optimum
     first_recordings: int = 10  # evenly chosen, for the same
-    priors: Priors = field(default_factory=Priors)
+    clamp_sd: float | None = option(  # rad
+        "--clamp-sd-deg",
+        None,
+        f"How far the clamp may be turned, one sd, whatever recording.toml says; default: as that says, or "
+        f"{np.degrees(CLAMP_SD):.2g}. It trades off against k.",
+        metavar="DEG",
+        within=NOT_NEGATIVE,
+    )
     optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
     first_rounds: int = 4  # at most, with the first frames
     last_rounds: int = 6  # at most, with all frames
@@ -662,7 +670,9 @@ def _prepared(
 
     data = each(of, range(len(recordings)), recordings, frames)
     knots = [len(d.error.knots) for d in data]
-    return data, make_layout(spline, list(recordings), knots, settings.priors, [d.allowances for d in data])
+    said = [] if settings.clamp_sd is None else [replace(o.stated, clamp_sd=settings.clamp_sd) for o in recordings]
+    stated = [replace(o, stated=one) for o, one in zip(recordings, said, strict=True)] if said else list(recordings)
+    return data, make_layout(spline, stated, knots, [d.allowances for d in data])
 
 
 def starting(layout: Layout, start: Profile | float) -> tuple[Array, float]:

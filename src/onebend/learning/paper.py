@@ -12,6 +12,7 @@ from onebend.beam.model import Beam
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Gaussians, Powers, Profile, Uniform, equidistant, gaussian_basis, power_basis
 from onebend.errors import LearningError, MechanicsError
+from onebend.gauss_newton import DampedSteps, Outlook, most_probable
 from onebend.learning.fit_data import AtRest, at_rest, beam_points
 from onebend.learning.frames import (
     at_frames,
@@ -30,11 +31,12 @@ from onebend.learning.parameters import NEEDS_MASS, weighs
 from onebend.learning.validation import marker_misfit, validate
 from onebend.options import option
 from onebend.progress import Progress, Silent, one_blas_thread, track
-from onebend.records import Array, BoolArray, Observations, covariance_with_camera
+from onebend.records import Array, BoolArray, IntArray, Observations, covariance_with_camera
 
-# Inverse kinematics (22) by Levenberg-Marquardt on all frames at once. Where a frame has fewer data than states, the
-# shape of least curvature is taken.
+# Inverse kinematics (22) on all frames at once. Where a frame has fewer data than states, the shape of least curvature
+# is taken.
 
+_SETTLED = 1e-6  # posterior sds, of the last step
 _LEAST_CURVATURE = 1e-3  # weight of the curvature energy against whitened data (a prior sd of about 30 rad)
 
 
@@ -71,19 +73,28 @@ def solve_states(
     data = np.asarray(np.sum(np.any(whiten != 0.0, axis=-1), axis=-1, dtype=float))  # (T, m)
     target = np.where(np.isfinite(measured), measured, 0.0)
     at = places(observations.length, Modes(n), observations.marker_s)
-    theta, converged = _levenberg(at, target, whiten, _start(at, target, data > 0, whiten), most)
-    jacobian = whitened(whiten, _jacobian(at, theta))
-    information = np.swapaxes(jacobian, 1, 2) @ jacobian + np.diag(_energy(n))
-    seen = np.any(data > 0, axis=1)
+    sd = np.sqrt((2.0 * np.arange(n) + 1.0) / _LEAST_CURVATURE)  # `int q^2 = sum theta_i^2 / (2 i + 1)`
+
+    def look(rows: IntArray, theta: Array, _: Array) -> Outlook:
+        pose = np.concatenate([positions(at, theta), angles(at, theta)[..., None]], axis=-1)
+        turn = np.broadcast_to(at.to_places[None, :, None, :], (len(rows), len(at.s), 1, n))
+        slopes = np.concatenate([jacobians(at, theta), turn], axis=2)
+        both = whitened(whiten[rows], np.concatenate([slopes, (target[rows] - pose)[..., None]], axis=-1))
+        return Outlook(both[..., -1], both[..., :-1], np.ones(len(rows), dtype=bool), np.zeros((len(rows), 0)))
+
+    theta = _start(at, target, data > 0, whiten)
+    begin = look(np.arange(len(theta)), theta, theta)
+    found = most_probable(look, begin, theta, np.zeros(n), sd, DampedSteps(steps=most, last=_SETTLED, damping=1e-3))
+    theta, seen, root = found.x.copy(), np.any(data > 0, axis=1), found.root
     theta[~seen] = np.nan
     return States(
         modes=Modes(n),
         theta=theta,
-        covariance=np.asarray(np.linalg.inv(information)),
+        covariance=root @ np.swapaxes(root, 1, 2),
         theta0=rest.states(n),
         rest=rest,
         data=np.sum(data, axis=1),
-        converged=converged & seen,
+        converged=found.settled & seen,
     )
 
 
@@ -102,67 +113,6 @@ def _start(at: Places, target: Array, seen: BoolArray, whiten: Array) -> Array:
     weight = seen.astype(float)
     normal = np.einsum("tm,mi,mj->tij", weight, rows, rows) + 1e-3 * np.eye(at.modes.n)
     return np.asarray(np.linalg.solve(normal, np.einsum("tm,mi,tm->ti", weight, rows, values)[..., None])[..., 0])
-
-
-def _levenberg(at: Places, target: Array, whiten: Array, theta: Array, most: int) -> tuple[Array, BoolArray]:
-    """Batched damped Gauss-Newton; each frame has its own damping."""
-    damping = np.full(len(theta), 1e-3)
-    residual = _residual(at, target, whiten, theta)
-    cost = _cost(residual, theta)
-    converged = np.zeros(len(theta), dtype=bool)
-    for _ in range(most):
-        todo = np.flatnonzero(~converged)
-        if todo.size == 0:
-            break
-        jacobian = whitened(whiten[todo], _jacobian(at, theta[todo]))
-        step = _damped_step(jacobian, residual[todo], theta[todo], damping[todo])
-        tried = theta[todo] + step
-        new_residual = _residual(at, target[todo], whiten[todo], tried)
-        new_cost = _cost(new_residual, tried)
-        better = new_cost <= cost[todo] * (1.0 + 1e-14)
-        theta[todo[better]] = tried[better]
-        residual[todo[better]] = new_residual[better]
-        cost[todo[better]] = new_cost[better]
-        damping[todo] = np.clip(np.where(better, damping[todo] / 10.0, damping[todo] * 10.0), 1e-12, 1e12)
-        small = np.max(np.abs(step), axis=1) < 1e-10 * (1.0 + np.max(np.abs(theta[todo]), axis=1))
-        converged[todo] = small | (damping[todo] >= 1e12)
-    return theta, converged
-
-
-def _damped_step(jacobian: Array, residual: Array, theta: Array, damping: Array) -> Array:
-    """Step of min |J d - r|^2 + small |theta + d|^2 + damping |D d|^2, by QR of the stacked rows."""
-    count, rows, n = jacobian.shape
-    energy = np.sqrt(_energy(n))
-    scale = np.sqrt(np.sum(jacobian**2, axis=1) + energy**2)  # (T, n)
-    stacked = np.zeros((count, rows + 2 * n, n))
-    stacked[:, :rows] = jacobian
-    diagonal = np.arange(n)
-    stacked[:, rows + diagonal, diagonal] = energy
-    stacked[:, rows + n + diagonal, diagonal] = np.sqrt(damping)[:, None] * scale
-    right = np.concatenate([residual, -energy * theta, np.zeros((count, n))], axis=1)
-    q, r = np.linalg.qr(stacked)
-    return np.asarray(np.linalg.solve(r, np.einsum("tri,tr->ti", q, right)[..., None])[..., 0])
-
-
-def _residual(at: Places, target: Array, whiten: Array, theta: Array) -> Array:
-    """(T, 3 m) whitened measured minus modelled poses."""
-    model = np.concatenate([positions(at, theta), angles(at, theta)[..., None]], axis=-1)
-    return np.asarray(np.einsum("tmab,tmb->tma", whiten, target - model).reshape(len(theta), -1))
-
-
-def _jacobian(at: Places, theta: Array) -> Array:
-    """(T, m, 3, n) of positions and angles."""
-    turn = np.broadcast_to(at.to_places[None, :, None, :], (len(theta), len(at.s), 1, at.modes.n))
-    return np.concatenate([jacobians(at, theta), turn], axis=2)
-
-
-def _cost(residual: Array, theta: Array) -> Array:
-    return np.asarray(np.sum(residual**2, axis=1) + theta**2 @ _energy(theta.shape[1]))
-
-
-def _energy(n: int) -> Array:
-    """(n,) weights of `int q^2 = sum theta_i^2 / (2 i + 1)` (Legendre states)."""
-    return np.asarray(_LEAST_CURVATURE / (2.0 * np.arange(n) + 1.0))
 
 
 # The paper's regression (12)-(18): `X gamma = Y`, linear in the coefficients gamma of k(s). For frame t and test

@@ -15,7 +15,6 @@ from onebend.beam.stiffness import LogSpline, Polyline, Profile, Uniform
 from onebend.errors import LearningError
 from onebend.learning.allowances import ANYTHING, BETWEEN, EFFECTS, TOLERATED, Allowance
 from onebend.learning.frames import zeroed_coordinates
-from onebend.options import NOT_NEGATIVE, option
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.records import (
     CLAMP_SD,
@@ -322,32 +321,9 @@ _EVEN = 0.01  # of k: what is left of its variation, from coefficient to coeffic
 _EXACT = 1e-6  # of the mass, where it is said to be exact
 _STATED = 1e-4  # of the mass: sd of its uneven parts where its spread is stated
 _PLACEMENT_SD = 5e-4  # m, of the tags' places and the clamp's, where nobody states it
+_MASS_SD = 0.02  # of the beam's mass as weighed; where gravity acts in the plane
+MASS_SPREAD, _MASS_LINE = 0.3, 0.05  # of the same: Legendre parts of an uneven mass per metre, and where it is written
 _CLOCK_DOUBT = 2.0  # the clock search's sd: over simulated recordings its errors are about twice as large
-
-
-@dataclass(frozen=True)
-class Priors:
-    """One sd of each nuisance before the data; 0 freezes it."""
-
-    curvature: float | None = None  # rad, Legendre states of q0; frozen where rest = "straight"; None: as turns
-    mounting: float | None = None  # rad, a tag's turn on the beam; None: as the recording says
-    placement: float | None = None  # m, a tag's place along and across; None: as the recording says
-    clamp: float | None = option(  # against the beam's own direction at rest; see `clamp_sd`
-        "--clamp-sd-deg",
-        None,
-        f"How far the clamp may be turned, one sd, whatever recording.toml says; default: as that says, or "
-        f"{np.degrees(CLAMP_SD):.2g}. It trades off against k.",
-        metavar="DEG",
-        within=NOT_NEGATIVE,
-    )
-    origin: float | None = None  # m, the clamp's place against the base tag; None: as the recording says
-    scale: float | None = None  # of lengths in the picture, where the camera is not calibrated; see `scale_sd`
-    mass: float = 0.02  # of the beam's mass as weighed; where gravity acts in the plane
-    mass_spread: float = 0.3  # of the same: Legendre parts of an uneven mass per metre
-    mass_line: float = 0.05  # of the same, where the mass per metre is written down along the beam
-    clock: float | None = None  # s; None: as the clock's own estimate says
-    place: float | None = None  # m, along the beam, from where the push is said to act; None: as the recording says
-    direction: float | None = None  # rad, of the force log's axes; None: as the recording says
 
 
 @dataclass(frozen=True)
@@ -457,9 +433,8 @@ class StatedError:
     cause: str  # its name in the reports; several may share one
     unit: str
     labels: tuple[str, ...]  # "{tag}" stands for each tag
-    prior: str  # the field of `Priors` that states it
     # The field of `Stated` that states it, or the sds of recordings: of all where they share it, else of one.
-    stated: str | Callable[[Sequence[Observations], Priors], float | Array]
+    stated: str | Callable[[Sequence[Observations]], float | Array]
     usual: float = 0.0  # where nobody states it; 0: frozen
     shared: bool = False
     of_push: bool = False  # nothing without a push
@@ -472,19 +447,18 @@ class StatedError:
     @property
     def field(self) -> str:
         """Of `Instruments`, its sd."""
-        return f"{self.prior}_sd" if self.name != "turn" else "turn_sd"
+        return "placement_sd" if self.name in ("along", "across") else f"{self.name}_sd"
 
-    def allowance(self, recordings: Sequence[Observations], priors: Priors, tags: Sequence[str]) -> Allowance:
+    def allowance(self, recordings: Sequence[Observations], tags: Sequence[str]) -> Allowance:
         """As these recordings state it, of these tags."""
         one, within = recordings[0], ANYTHING
         if self.name == "place":  # hardly beyond the tip
             within = -np.inf, _BEYOND_SD * one.length + float(np.nanmin(1.0 - one.push_s)) * one.length
+        of_stated = self.stated
         if self.of_push and (one.static or not np.any(one.force != 0.0)):
             sd: float | Array = 0.0
-        elif isinstance(self.stated, str):
-            sd = _or(getattr(priors, self.prior), getattr(one.stated, self.stated))
         else:
-            sd = self.stated(recordings, priors)
+            sd = getattr(one.stated, of_stated) if isinstance(of_stated, str) else of_stated(recordings)
         return replace(self.with_sd(sd, tags), within=within)
 
     def with_sd(self, sd: float | Array, tags: Sequence[str]) -> Allowance:
@@ -497,46 +471,42 @@ class StatedError:
         return own if by_hand else replace(own, sizes=TOLERATED, together=True)
 
 
-def clamp_sd(one: Observations, priors: Priors) -> float:
+def clamp_sd(one: Observations) -> float:
     """rad, prior sd of the clamp's direction in the recording's frame; 0 freezes it.
 
     The frame's x axis is the line through the tags at rest, so twice the spread of their places is added. Where the
     beam is curved at rest, or rest was not seen, the mounting of a base tag is added instead. Poses have the stated sd.
     """
-    stated = _or(priors.clamp, one.stated.clamp_sd)
+    stated = one.stated.clamp_sd
     if stated == 0.0 or (one.static and np.isfinite(stated)):
         return stated
     own = stated if np.isfinite(stated) else CLAMP_SD
     reach = one.length * one.marker_s[np.isfinite(one.rest_xy).all(axis=1)]
-    if curvature_sd(one, priors) > 0.0 or not np.any(reach > 0.0):
+    if curvature_sd(one) > 0.0 or not np.any(reach > 0.0):
         return float(np.hypot(own, MOUNTING_SD))
-    placement = _or(priors.placement, one.stated.placement_sd)
-    return float(np.hypot(own, 2.0 * placement / np.linalg.norm(reach)))
+    return float(np.hypot(own, 2.0 * one.stated.placement_sd / np.linalg.norm(reach)))
 
 
-def curvature_sd(one: Observations, priors: Priors) -> float:
+def curvature_sd(one: Observations) -> float:
     """rad, of the Legendre states of q0 before the data; 0 where the beam is straight at rest."""
-    return 0.0 if one.stated.rest == "straight" else _or(priors.curvature, one.stated.curvature_sd)
+    return 0.0 if one.stated.rest == "straight" else one.stated.curvature_sd
 
 
-def scale_sd(one: Observations, priors: Priors) -> float:
+def scale_sd(one: Observations) -> float:
     """Of lengths in the picture before the data; a calibration gives them exactly, unless the recording says other."""
     if one.source.view is None:
         return 0.0
     usual = 0.0 if one.source.view.calibrated else SCALE_SD
-    stated = one.stated.scale_sd if np.isfinite(one.stated.scale_sd) else usual
-    return stated if priors.scale is None or one.source.view.calibrated else priors.scale
+    return one.stated.scale_sd if np.isfinite(one.stated.scale_sd) else usual
 
 
-def _clock_sd(one: Observations, priors: Priors) -> float:
-    if priors.clock is not None:
-        return priors.clock
+def _clock_sd(one: Observations) -> float:
     if one.source.clock is None:
         return 0.0
     return _CLOCK_DOUBT * float(one.source.clock.sd) if np.isfinite(one.source.clock.sd) else 1.0
 
 
-def _mass_sds(recordings: Sequence[Observations], priors: Priors) -> float | Array:
+def _mass_sds(recordings: Sequence[Observations]) -> float | Array:
     """Of a mass that is guessed or written down, over itself, and of its parts, which are free where it is exact."""
     if not any(needs_mass(r) for r in recordings):
         return 0.0
@@ -544,15 +514,11 @@ def _mass_sds(recordings: Sequence[Observations], priors: Priors) -> float | Arr
         [sd for sd in sds if np.isfinite(sd)]
         for sds in zip(*((r.stated.mass_sd, r.stated.weighed_sd) for r in recordings), strict=True)
     )
-    mass = max(guessed, default=max(min(weighed), _EXACT) if weighed else priors.mass)
-    spread = priors.mass_line if any(r.stated.mass_line is not None for r in recordings) else priors.mass_spread
+    mass = max(guessed, default=max(min(weighed), _EXACT) if weighed else _MASS_SD)
+    spread = _MASS_LINE if any(r.stated.mass_line is not None for r in recordings) else MASS_SPREAD
     if any(r.stated.mass_along != "unknown" for r in recordings):
         spread = _STATED
     return np.array([mass, spread, spread, spread])
-
-
-def _or(prior: float | None, stated: float) -> float:
-    return stated if prior is None else prior
 
 
 _REST = ("q0 mean", "q0 slope", "q0 bow")
@@ -560,27 +526,24 @@ _MASS = ("mass", "mass slope", "mass bow", "mass third")
 _DIRECTION, _AXES = "direction of the force", ("force axes",)
 
 
-def _curvature_sds(recordings: Sequence[Observations], priors: Priors) -> float:
-    return max(curvature_sd(one, priors) for one in recordings)
+def _of_one(sd: Callable[[Observations], float]) -> Callable[[Sequence[Observations]], float]:
+    """The largest; of one recording its own."""
+    return lambda recordings: max(sd(one) for one in recordings)
 
 
-def _of_one(sd: Callable[[Observations, Priors], float]) -> Callable[[Sequence[Observations], Priors], float]:
-    return lambda recordings, priors: sd(recordings[0], priors)
-
-
-_TAGS, _CLAMP = "places of the tags", "clamp and origin"
+_TAGS, _CLAMP, _PLACED = "places of the tags", "clamp and origin", "placement_sd"
 STATED_ERRORS = (
-    StatedError("curvature", "rest shape", "rad", _REST, "curvature", _curvature_sds, CURVATURE_SD, shared=True),
-    StatedError("mass", "mass", "1", _MASS, "mass", _mass_sds, shared=True),
-    StatedError("along", _TAGS, "m", ("{tag} along",), "placement", "placement_sd", _PLACEMENT_SD, shared=True),
-    StatedError("across", _TAGS, "m", ("{tag} across",), "placement", "placement_sd", _PLACEMENT_SD, shared=True),
-    StatedError("turn", _TAGS, "rad", ("{tag} turn",), "mounting", "turn_sd", TURN_SD, shared=True),
-    StatedError("clamp", _CLAMP, "rad", ("clamp angle",), "clamp", _of_one(clamp_sd), CLAMP_SD),
-    StatedError("origin", _CLAMP, "m", ("origin x", "origin y"), "origin", "placement_sd", _PLACEMENT_SD),
-    StatedError("scale", "camera", "1", ("camera scale",), "scale", _of_one(scale_sd)),
-    StatedError("clock", "clock", "s", ("clock offset",), "clock", _of_one(_clock_sd)),
-    StatedError("place", "place of the push", "m", ("push place",), "place", "place_sd", PLACE_SD, of_push=True),
-    StatedError("direction", _DIRECTION, "rad", _AXES, "direction", "direction_sd", DIRECTION_SD, of_push=True),
+    StatedError("curvature", "rest shape", "rad", _REST, _of_one(curvature_sd), CURVATURE_SD, shared=True),
+    StatedError("mass", "mass", "1", _MASS, _mass_sds, _MASS_SD, shared=True),
+    StatedError("along", _TAGS, "m", ("{tag} along",), _PLACED, _PLACEMENT_SD, shared=True),
+    StatedError("across", _TAGS, "m", ("{tag} across",), _PLACED, _PLACEMENT_SD, shared=True),
+    StatedError("turn", _TAGS, "rad", ("{tag} turn",), "turn_sd", TURN_SD, shared=True),
+    StatedError("clamp", _CLAMP, "rad", ("clamp angle",), _of_one(clamp_sd), CLAMP_SD),
+    StatedError("origin", _CLAMP, "m", ("origin x", "origin y"), _PLACED, _PLACEMENT_SD),
+    StatedError("scale", "camera", "1", ("camera scale",), _of_one(scale_sd)),
+    StatedError("clock", "clock", "s", ("clock offset",), _of_one(_clock_sd)),
+    StatedError("place", "place of the push", "m", ("push place",), "place_sd", PLACE_SD, of_push=True),
+    StatedError("direction", _DIRECTION, "rad", _AXES, "direction_sd", DIRECTION_SD, of_push=True),
 )
 
 
@@ -596,16 +559,15 @@ def make_layout(
     spline: Spline,
     recordings: list[Observations],
     knots: list[int],
-    priors: Priors,
     allowances: Sequence[Sequence[Allowance]] = (),
 ) -> Layout:
     """The layout for several recordings, with the `knots` of the force error and the `allowances` of each."""
     tags = [f"tag {i}" for i in recordings[0].tag_id[tags_among(recordings[0])]]
     shared = {a.name: a for own in allowances for a in own if a.shared}
-    wanted = [(-1, error.allowance(recordings, priors, tags)) for error in STATED_ERRORS if error.shared]
+    wanted = [(-1, error.allowance(recordings, tags)) for error in STATED_ERRORS if error.shared]
     wanted += [(-1, a) for a in shared.values()]
     for r, one in enumerate(recordings):
-        own = [error.allowance([one], priors, tags) for error in STATED_ERRORS if not error.shared]
+        own = [error.allowance([one], tags) for error in STATED_ERRORS if not error.shared]
         own += [a for a in (allowances[r] if allowances else ()) if not a.shared]
         own += [
             inside("rest change", "rad", rest_change_sd(recordings, r), _REST),

@@ -321,7 +321,7 @@ class State:
     @property
     def clamp(self) -> Array:
         """() or (F, 1) rad, the clamp's angle."""
-        angle, gives = self.value("clamp")[0], self.allowed("clamp")
+        angle, gives = self.data.problem.alpha0 + self.value("clamp")[0], self.allowed("clamp")
         return np.asarray(angle if isinstance(gives, float) else angle + gives[:, None])
 
     @property
@@ -330,7 +330,7 @@ class State:
         o = self.data.observations
         for a in self.data.entering("section"):
             return section_at(float(self.value(a.name)[0]), o.stated.thickness, o.length)
-        return None, 0.0
+        return self.data.problem.section, 0.0
 
     @property
     def log_axes(self) -> Array:
@@ -346,7 +346,8 @@ class State:
     @property
     def rest(self) -> Array:
         """(Q,) or (F, Q) rad, curvature at rest of a beam that has not relaxed."""
-        return np.asarray(self.data.rest_on_nodes @ (self.value("curvature") + self.value("rest change")))
+        states = self.value("curvature") + self.value("rest change")
+        return np.asarray(self.data.problem.q0 + self.data.rest_on_nodes @ states)
 
     @property
     def relaxation(self) -> tuple[Array, Array] | None:
@@ -529,7 +530,9 @@ class Prediction(State):
     riding: TagRide  # the tags there
     pose: Array  # (F, m, 3)
     force: Array  # (F, 2) N, the corrected force, `own` included
-    own: Array  # (F, 2) N, each frame's own force: minus the log's error that is faster than the knots
+    # (F, 2) N, each frame's own force: minus the log's error that is faster than the knots, or all there is; behind it
+    # perhaps a moment [N m] at the same place
+    own: Array
     nearby: Slopes | None = None  # whitened derivatives of shapes nearby, taken for these
 
     @property
@@ -564,9 +567,20 @@ class Prediction(State):
     @property
     def whitened_by_force(self) -> Slopes:
         """`whitened_slopes` with each frame's force alone: much faster."""
-        by_force = Perturbations((pushed_by(self.push_beyond, np.eye(2)[None]),))
-        a = whitened(self.data.whiten, self.riding.carry(_responses(self, by_force)[0]))
+        a = whitened(self.data.whiten, self.by_own())
         return Slopes(a[..., :0], a, np.eye(2), np.zeros((len(a), 0)))
+
+    def by_own(self, *, place: bool = False) -> Array:
+        """(F, m, 3, n) derivatives of the tags' poses with each frame's own load; with its `place` [m] too, last."""
+        beyond, farther, load = self.push_beyond, self.data.farther, np.hstack([self.force, self.own[:, 2:]])
+        count, n = load.shape[1] + place, load.shape[1]
+        force, moment = np.zeros((*beyond.shape, 2, count)), np.zeros((*beyond.shape, count))
+        force[..., [0, 1], [0, 1]], moment[..., 2:n] = beyond[..., None], beyond[..., None]
+        if place:
+            force[..., n] = farther[..., None] * load[:, None, :2]
+            moment[..., n] = farther * np.sum(load[:, 2:], axis=1, keepdims=True)
+        changes = Perturbation(force, moment if n > 2 else None, None, np.zeros(count))
+        return self.riding.carry(_responses(self, Perturbations((changes,)))[0])
 
     def clear_slopes(self) -> None:
         """Free the cached derivatives, most of the memory of a fit; they are computed again on demand."""
@@ -581,7 +595,7 @@ def predict(
     own: Array | None = None,
     settings: ContinuationSettings = ContinuationSettings(),
 ) -> Prediction:
-    """Equilibria and tags for parameters x and each frame's `own` force (F, 2) [N], zero if None.
+    """Equilibria and tags for parameters x and each frame's `own` force (F, 2) [N], zero if None, or load (F, 3).
 
     `start`: shapes (F, Q) for a warm start; `settings` of the way from there, for free ends that do not relax.
     """
@@ -589,8 +603,8 @@ def predict(
     value, allowed = state.value, state.allowed
     own = np.zeros_like(data.force) if own is None else own
     slow = data.error_weights @ value("force").reshape(-1, 2)
-    force = (data.force - slow + data.rate * value("clock")) @ state.log_axes.T + own
-    force = force + allowed("force")
+    force = (data.force - slow + data.rate * value("clock")) @ state.log_axes.T + own[:, :2]
+    force, beyond = force + allowed("force"), state.push_beyond
     k = np.exp(data.offset + data.on_nodes @ value("stiffness") + allowed("log k"))
     weight_beyond = data.weight + allowed("load")
     if data.mass is not None:
@@ -602,7 +616,8 @@ def predict(
         section=state.section[0],
         q0=state.rest if data.memory is None else _remembering(state, data.memory, start),
         alpha0=state.clamp,
-        dead_force=state.push_beyond[..., None] * force[:, None, :] + weight_beyond,
+        dead_force=beyond[..., None] * force[:, None, :] + weight_beyond,
+        moment=data.problem.moment + beyond * own[:, 2:] if own.shape[1] > 2 else data.problem.moment,
     )
     remembering = state.memory
     if data.ends is not None:
@@ -629,7 +644,7 @@ def _remembering(state: State, memory: MaterialMemory, start: Array | None) -> A
 def _slopes(now: Prediction) -> Slopes:
     data, layout, solved, axes = now.data, now.layout, now.solved, now.log_axes
     bent, has_memory, nodes = _bent(now), now.memory is not None, solved.q.shape[1]
-    pushes = push_forces(now.force - now.own - now.allowed("force"), axes, data.rate)
+    pushes = push_forces(now.force - now.own[:, :2] - now.allowed("force"), axes, data.rate)
     pushes |= {a.name: a.basis for a in data.entering("force")}
     moves = {a.name: a.basis for a in data.entering("place")}
     changes = load_changes(bent)

@@ -16,7 +16,7 @@ from onebend.beam.stiffness import Profile, Scaled, Table, UncertainStiffness, U
 from onebend.beam.vibration import Vibration, settle, vibration_of
 from onebend.errors import LearningError, MechanicsError
 from onebend.learning.outcome import Notice
-from onebend.learning.parameters import Priors
+from onebend.learning.parameters import MASS_SPREAD
 from onebend.options import option
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, Observations, tags_among
@@ -645,7 +645,7 @@ def _model_sd(beam: Beam, uncertain: UncertainStiffness | None, swing: Swing, se
     if uncertain is None:
         return float("nan")
     rng, squared = np.random.default_rng(settings.seed), []
-    spread = Priors().mass_spread if isinstance(beam.mass_per_length, Uniform) else 0.0
+    spread = MASS_SPREAD if isinstance(beam.mass_per_length, Uniform) else 0.0
     for one in uncertain.draw(_DRAWS, seed=settings.seed):
         drawn = replace(beam, stiffness=one, mass_per_length=_uneven(beam.mass_per_length, spread, rng))
         squared.append(float(_vibration(_body(drawn, settings), swing, 1).squared[0]))

@@ -14,7 +14,7 @@ from onebend.learning.fit_data import FitData
 from onebend.learning.frames import zeroed_coordinates
 from onebend.learning.optimizer import recording_rms
 from onebend.learning.outcome import Comparison, Explained, Notice
-from onebend.learning.parameters import Layout, LearnedMass, Priors, clamp_sd
+from onebend.learning.parameters import Layout, LearnedMass, clamp_sd
 from onebend.learning.posterior import Posterior
 from onebend.learning.prediction import Prediction
 from onebend.learning.push_place import FAR, LIKELIER, moved_off
@@ -239,7 +239,7 @@ def _hanging(posterior: Posterior) -> list[Notice]:
 def _free_clamp(posterior: Posterior) -> list[Notice]:
     seen = [data.observations for data in posterior.recordings]
     every = [o if o.static else replace(o, stated=replace(o.stated, clamp_sd=np.nan)) for o in seen]
-    usual = max(clamp_sd(o, Priors()) for o in every)
+    usual = max(clamp_sd(o) for o in every)
     sd = max((float(b.prior_sd[0]) for b in posterior.layout.blocks if b.name == "clamp"), default=usual)
     return [] if sd <= 1.001 * usual else [Notice("free clamp", {"sd": sd, "usual": usual})]
 

@@ -7,7 +7,7 @@ from .guidance import (
     outcome_data as outcome_data,
     outcome_words as outcome_words,
 )
-from .hyperparameters import OnlineSettings as OnlineSettings
+from .hyperparameters import LiveHyperparameters as LiveHyperparameters, OnlineSettings as OnlineSettings
 from .learner import OnlineLearner as OnlineLearner, Update as Update
 from .live import (
     Counts as Counts,
@@ -22,10 +22,9 @@ from .played import (
     played_camera as played_camera,
     played_force as played_force,
 )
-from .posterior import LiveHyperparameters as LiveHyperparameters
 from .recording_folder import copy_description as copy_description
 from .replayed import replay as replay
-from .session import record as record
+from .session import Follower as Follower, record as record
 from .sources import (
     CameraSource as CameraSource,
     Clock as Clock,

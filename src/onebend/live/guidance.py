@@ -116,7 +116,7 @@ class Widening:
     """The narrowest band so far, and what its width followed from."""
 
     half_width: float = math.inf
-    causes: Mapping[str, float] = field(default_factory=dict)  # as `OnlineLearner.causes_of_width`
+    causes: Mapping[str, float] = field(default_factory=dict)  # as `LiveHyperparameters.causes_of_width`
 
     def why(self, half_width: float, causes: Mapping[str, float]) -> str:
         """Why a band is wider than the narrowest; empty where it is not."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,7 +13,7 @@ from onebend.learning import normal
 from onebend.learning.allowances import LIVE_ALLOWANCES
 from onebend.learning.hyperparameters import CHOSEN, SPREAD
 from onebend.learning.normal import RHO, TAU, InformationForm
-from onebend.learning.parameters import Priors, Spline
+from onebend.learning.parameters import Spline
 from onebend.recording.force_noise import LOAD
 from onebend.records import Array, ForceNoise
 
@@ -27,8 +29,9 @@ class OnlineSettings:
     functions: int = 45  # of the spline of log k
     key_frames: int = 30
     renewed: int = 5  # key frames linearised anew with every other update; one with those between
-    # `clock` None: camera and force log share one; `scale` None: the camera is calibrated
-    priors: Priors = field(default_factory=Priors)
+    # one sd of `STATED_ERRORS` by name, else as usual; no "clock": camera and force log share one; no "scale": the
+    # camera is calibrated
+    sds: Mapping[str, float] = field(default_factory=dict)
     marker_noise: float = 1.5  # over what the tags' covariances say
     # `level` comes on top of 5 % of the largest force; `load` NaN: 3 % of it
     force: ForceNoise = UNKNOWN_FORCE
@@ -62,6 +65,25 @@ class OnlineSettings:
         for name, least in (("functions", 5), ("key_frames", 5), ("renewed", 1), ("patience", 1)):
             if getattr(self, name) < least:
                 raise LearningError(f"{name} must be at least {least}, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True)
+class LiveHyperparameters:
+    """The hyperparameters but those of log k's prior, which are drawn."""
+
+    marker: float  # noise of the tags over what their covariances say
+    misfit: float  # of the tags, likewise; 0 while it is no more than noise
+    white: float  # N, force error of every frame
+    coloured: float  # N, Ornstein-Uhlenbeck part
+    memory: float  # s, its correlation time
+    walk: float  # N per root second
+    load: float  # error that comes with the load, over the size expected before the data
+
+    @property
+    def causes_of_width(self) -> dict[str, float]:
+        """What the width of the band follows from, beside the frames."""
+        force = math.hypot(self.coloured, self.white)
+        return {"tags": max(self.marker, self.misfit), "force": force, "drift": self.walk, "load": self.load}
 
 
 def expected_error(settings: OnlineSettings, largest: float, far_off: bool) -> ForceNoise:

@@ -13,7 +13,9 @@ from functools import cached_property
 from itertools import accumulate
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from onebend.errors import LearningError
 from onebend.learning.allowances import TIMES, Allowance, PushCourse, allowances_of
 from onebend.recording.force_noise import LoadChange, TimeSpans, load_changes, own_time
 from onebend.records import Array, BoolArray, IntArray
@@ -363,3 +365,100 @@ def accept_average(keys: KeyFrames, i: int, slot: int, x: Array) -> None:
     for values in keys.arrays():
         values[i] = values[slot]
     keys.drop(k)
+
+
+# A frame as it comes.
+
+
+@dataclass(frozen=True)
+class CheckedFrame:
+    """m tags and a force at one time."""
+
+    time: float  # s
+    measured: Array  # (m, 3) m, m, rad; 0 where not seen
+    covariance: Array  # (m, 3, 3); the unit matrix where not seen
+    root: Array  # (m, 3, 3) R with R' R its inverse; zero where not seen
+    visible: BoolArray  # (m,)
+    force: Array  # (2,) N, as logged
+    push_s: float
+    loaded: bool
+    gravity: Array  # (2,) m/s^2
+
+
+def checked_frame(
+    tags: int,
+    time: float,
+    xy: ArrayLike,
+    angle: ArrayLike,
+    covariance: ArrayLike,
+    force: ArrayLike,
+    push_s: float,
+    loaded: bool,
+    gravity: ArrayLike,
+) -> CheckedFrame:
+    """A frame of `tags` tags. Raises `LearningError` where something does not fit or is not finite."""
+    position = _array(xy, (tags, 2), "xy", time)
+    turn = _array(angle, (tags,), "angle", time)
+    spread = _array(covariance, (tags, 3, 3), "covariance", time)
+    pushed, pulled = _array(force, (2,), "force", time), _array(gravity, (2,), "gravity", time)
+    if not np.isfinite(time):
+        raise LearningError(f"a frame's time must be a finite number, got {time}")
+    if not (np.all(np.isfinite(pushed)) and np.all(np.isfinite(pulled))):
+        raise LearningError(
+            f"frame at {time:g} s: force and gravity must be finite, got {pushed.tolist()} N and {pulled.tolist()} "
+            "m/s^2. Leave out frames whose force is not known"
+        )
+    if loaded and not 0.0 < push_s <= 1.0:
+        raise LearningError(f"frame at {time:g} s: the force acts at s in (0, 1], got {push_s}")
+    measured = np.concatenate([position, turn[:, None]], axis=1)
+    if np.any(np.isinf(measured)):
+        raise LearningError(f"frame at {time:g} s: a tag at infinity; give NaN where a tag is not seen")
+    visible = np.asarray(np.all(np.isfinite(measured), axis=1) & np.all(np.isfinite(spread), axis=(1, 2)))
+    spread = np.where(visible[:, None, None], spread, np.eye(3))
+    try:
+        lower = np.linalg.cholesky(spread)
+    except np.linalg.LinAlgError as error:
+        raise LearningError(
+            f"frame at {time:g} s: the covariance of a tag is not positive definite; give one sd squared of x, y [m^2] "
+            "and angle [rad^2] on its diagonal"
+        ) from error
+    where = push_s if loaded else 1.0
+    root = np.linalg.inv(lower) * visible[:, None, None]
+    return CheckedFrame(
+        time, np.where(visible[:, None], measured, 0.0), spread, root, visible, pushed, where, loaded, pulled
+    )
+
+
+def _array(values: ArrayLike, shape: tuple[int, ...], name: str, time: float) -> Array:
+    out = np.asarray(values, dtype=float)
+    if out.shape != shape:
+        raise LearningError(f"frame at {time:g} s: {name} must have shape {shape}, got {out.shape}")
+    return out
+
+
+def write_frame(keys: KeyFrames, frame: CheckedFrame, rate: Array, terms: Array) -> int:
+    """Write the frame behind the key frames in use; returns its index. `rate` (2,) N/s of its force, `terms` (TERMS,)
+    of its allowances."""
+    i = keys.used
+    keys.begin[i] = keys.end[i] = frame.time
+    keys.frames[i], keys.rest[i], keys.push_s[i] = 1.0, not frame.loaded, frame.push_s
+    keys.force[i], keys.rate[i], keys.gravity[i], keys.terms[i] = frame.force, rate, frame.gravity, terms
+    keys.measured[i], keys.weight[i] = frame.measured, frame.visible
+    keys.root[i], keys.information[i] = frame.root, frame.root.swapaxes(1, 2) @ frame.root
+    keys.used += 1
+    return i
+
+
+_FARTHEST = 2.0  # changes of the force like the last one, over which a shape is extrapolated
+
+
+def expect_shape(keys: KeyFrames, i: int, error: Array) -> None:
+    """First guess of the shape of frame i, the last one, under the force error (2,) [N] that is expected: it goes on as
+    it changed last, as the force does."""
+    keys.error[i], keys.stale[i], keys.lost[i] = error, False, False
+    keys.shape[i], keys.grid[i] = (keys.shape[i - 1], keys.grid[i - 1]) if i else (0.0, 0.0)
+    if i > 1 and keys.grid[i - 2] == keys.grid[i - 1]:
+        near = slice(i - 2, i + 1)
+        before, now = np.diff((keys.force[near] - keys.error[near]) * ~keys.rest[near, None], axis=0)
+        share = np.clip(now @ before / max(float(before @ before), 1e-300), -_FARTHEST, _FARTHEST)
+        keys.q[i] += share * (keys.q[i - 1] - keys.q[i - 2])

@@ -214,7 +214,7 @@ class LiveState:
     verdict: LiveVerdict
     waiting: tuple[str, ...]  # what is not known yet, and why
     remarks: tuple[Remark, ...]  # of the last review, as `learn` makes them
-    causes_of_width: Mapping[str, float] = field(default_factory=dict)  # as of `OnlineLearner`; empty without k(s)
+    causes_of_width: Mapping[str, float] = field(default_factory=dict)  # of `LiveHyperparameters`; empty without k(s)
 
 
 def live_verdict(
@@ -353,7 +353,19 @@ class Live:
             self._refused = str(error)
         if seen is None:
             self._counts = replace(self._counts, refused_frames=self._counts.refused_frames + 1)
-            return None
+        else:
+            self.tracked(seen, image)
+        return seen
+
+    @one_blas_thread
+    def tracked(self, seen: TrackedFrame, image: Picture | None = None) -> None:
+        """The tags of one picture, where a `Tracker` elsewhere found them.
+
+        Raises:
+            ObservationError: after `finish` or `close`.
+        """
+        self._check_open()
+        time = seen.time
         if math.isnan(self._begin):
             self._begin = time
             self._state_clock()
@@ -368,7 +380,6 @@ class Live:
             self._newest = seen
             self._following.add(own.time, own.corners)
             self._review(own.time)
-        return seen
 
     @one_blas_thread
     def force(self, time: ArrayLike, values: ArrayLike, place: ArrayLike | None = None) -> None:
@@ -450,7 +461,7 @@ class Live:
             verdict=live_verdict(stiffness, known, why, () if learning is None else learning.doubts),
             waiting=tuple(waiting),
             remarks=known.remarks,
-            causes_of_width={} if learning is None else learning.learner.causes_of_width,
+            causes_of_width={} if learning is None else learning.learner.hyperparameters.causes_of_width,
         )
 
     def finish(self, *, fitting: FitSettings = FitSettings(), progress: Progress = Silent()) -> Run:

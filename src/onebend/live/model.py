@@ -4,6 +4,7 @@ key frames, linearised by the model of the fit."""
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -15,7 +16,7 @@ from onebend.learning import allowances as effects
 from onebend.learning.fit_data import FitData, fit_data
 from onebend.learning.force_error import SpannedError
 from onebend.learning.linear import FitProblem, Hyperparameters
-from onebend.learning.parameters import STATED_ERRORS, Layout, Priors, Spline, inside, layout_of, without_recording
+from onebend.learning.parameters import MASS_SPREAD, STATED_ERRORS, Layout, Spline, inside, layout_of, without_recording
 from onebend.learning.prediction import predict
 from onebend.live.key_frames import FrameTerms, KeyFrames, course_of_frame, course_scale
 from onebend.records import Array, Observations, Source, Stated
@@ -84,7 +85,7 @@ class FrameInputs:
 def session_of(
     spline: Spline,
     marker_s: Array,
-    priors: Priors,
+    sds: Mapping[str, float],
     *,
     length: float,
     mass: float,
@@ -94,16 +95,15 @@ def session_of(
 ) -> LiveSession:
     """One beam under one camera; the force's error is a process and not among the parameters.
 
-    A prior that is None takes the usual tolerance; without `scale` the camera is calibrated, and without `clock` camera
-    and force log share one clock. Allowances that are not wanted are frozen.
+    `sds`: of `STATED_ERRORS` by name, else as usual; without "scale" the camera is calibrated, and without "clock"
+    camera and force log share one clock. Allowances that are not wanted are frozen.
     """
     course = course_of_frame(marker_s, length, tag_size, thick=bool(np.isfinite(thickness)))
     wanted: list[effects.Allowance] = []
     for one in STATED_ERRORS:
-        stated = getattr(priors, one.prior)
-        sd = one.usual if stated is None else stated
+        sd: float | Array = sds.get(one.name, one.usual)
         if one.name == "mass":
-            sd = np.append(sd if mass > 0.0 else 0.0, np.full(3, priors.mass_spread))
+            sd = np.append(sd if mass > 0.0 else 0.0, np.full(3, MASS_SPREAD))
         wanted.append(one.with_sd(sd, course.tags))
     every = effects.allowances_of(course, effects.LIVE_ALLOWANCES)
     wanted += [replace(a, prior_sd=a.prior_sd * (a.name in allowances)) for a in every]

@@ -16,8 +16,8 @@ from onebend.errors import RecordingError
 from onebend.live.sources import Clock, End, Frame, Samples, StampTiming
 from onebend.recording.entries import Recording, VideoEntry
 from onebend.recording.folder import FILE_NAME, folder_of, read_recording
+from onebend.recording.force import read_log
 from onebend.recording.force_log import read_force_log
-from onebend.recording.pairing import read_log
 from onebend.recording.video import FilmFrame, read_frames
 from onebend.records import ForceLog
 

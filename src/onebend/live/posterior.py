@@ -93,18 +93,6 @@ def _triangle(rows: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class LiveHyperparameters:
-    """The hyperparameters but those of log k's prior, which are drawn."""
-
-    marker: float  # noise of the tags over what their covariances say
-    white: float  # N, force error of every frame
-    coloured: float  # N, Ornstein-Uhlenbeck part
-    memory: float  # s, its correlation time
-    walk: float  # N per root second
-    load: float  # error that comes with the load, over the size expected before the data
-
-
-@dataclass(frozen=True)
 class KeyFrameModel:
     """The linear model over the key frames: log k (p), the force's error at the slots, which are the last frame that
     was marginalised, if any, and the key frames, and all other parameters (n - p)."""
@@ -218,11 +206,15 @@ def information(keys: KeyFrames, marginalised: Marginalised, p: int, *, marker: 
     rows = (np.repeat(np.sqrt(weight), 3, axis=1) / marker)[..., None] * keys.rows[:used]
     flat, by_force = rows.reshape(-1, n + 3), np.ascontiguousarray(rows[..., -3:-1].swapaxes(1, 2))
     every, each = flat.T @ flat, by_force @ rows  # (n + 3, n + 3), (K, 2, n + 3)
-    size, x = n + first + 2 * used, np.append(np.arange(p), np.arange(behind, behind + n - p))
+    size, middle = n + first + 2 * used, slice(start, behind)
+    pieces = (slice(p), slice(p)), (slice(behind, size), slice(p, n))  # of all parameters, of x
     matrix, vector = np.zeros((size, size)), np.zeros(size)
-    matrix[np.ix_(x, x)], vector[x] = every[:-3, :-3], every[:-3, -1]
-    across, vector[start:behind] = -each[..., :-3].reshape(-1, n), -each[..., -1].ravel()
-    matrix[start:behind, x], matrix[x, start:behind] = across, across.T
+    across, vector[middle] = -each[..., :-3].reshape(-1, n), -each[..., -1].ravel()
+    for rows_in, rows_of in pieces:
+        vector[rows_in] = every[rows_of, -1]
+        matrix[middle, rows_in], matrix[rows_in, middle] = across[:, rows_of], across[:, rows_of].T
+        for columns_in, columns_of in pieces:
+            matrix[rows_in, columns_in] = every[rows_of, columns_of]
     certain = keys.rest[:used] * keys.frames[:used] / (AT_REST * white) ** 2
     here = start + 2 * np.arange(used)
     for c in range(2):
@@ -230,7 +222,8 @@ def information(keys: KeyFrames, marginalised: Marginalised, p: int, *, marker: 
         matrix[here + c, here + c] += certain
         vector[here + c] += certain * keys.force[:used, c]
     if first:
-        root, known, old = marginalised.rows[:, :-1], marginalised.rows[:, -1], np.append(x, [p, p + 1])
+        root, known = marginalised.rows[:, :-1], marginalised.rows[:, -1]
+        old = np.concatenate([np.arange(p), np.arange(behind, size), [p, p + 1]])
         matrix[np.ix_(old, old)] += root.T @ root
         vector[old] += root.T @ known
     return InformationForm(matrix, vector)
@@ -243,66 +236,3 @@ def model_of(form: InformationForm, other_sd: Array, problem: FitProblem, spread
     others = eliminated(form, np.zeros(len(other_sd)), BlockRoot(other_sd), layout.size)
     evidence = Evidence(problem, JointInformation((others.left,), layout.parts), spread)
     return KeyFrameModel(form, other_sd, others, evidence)
-
-
-# Noise of the tags, from the residuals of the key frames less what an error of each frame's force explains. Averages of
-# frames show the error of averages, so errors that last count with their correlation time.
-
-_BULK = 5.0  # sd: larger residuals are cut off there
-_LEAST = 0.02  # over the tags' covariances: the smallest size
-_GUESS_COUNTS = 60.0  # the first value weighs as much as so many residuals
-_NO_FORCE = 1e-9  # 1/N^2: added, so that a force that moves no tag comes out as zero
-
-
-def tag_residuals(keys: KeyFrames, solution: KeyFramePosterior) -> Array:
-    """(K, 3 m) whitened residuals of the key frames at the solution."""
-    used = keys.used
-    e = solution.e[len(solution.e) - used :]
-    return np.asarray(
-        keys.rows_z[:used] - keys.rows_j[:used] @ solution.x + (keys.rows_a[:used] @ e[..., None])[..., 0]
-    )
-
-
-def force_in(residual: Array, a: Array) -> Array:
-    """(K, 2) N: the force error of each frame that fits its residuals (K, R) best; `a` (K, R, 2): derivatives of the
-    residuals with it."""
-    turned = a.swapaxes(1, 2)
-    gram, by = turned @ a, (turned @ residual[..., None])[..., 0]
-    xx, yy, xy = gram[:, 0, 0] + _NO_FORCE, gram[:, 1, 1] + _NO_FORCE, gram[:, 0, 1]
-    out = np.empty_like(by)
-    out[:, 0], out[:, 1] = yy * by[:, 0] - xy * by[:, 1], xx * by[:, 1] - xy * by[:, 0]
-    return out / (xx * yy - xy**2)[:, None]
-
-
-def without_force(residual: Array, a: Array) -> Array:
-    """Residuals (K, R) less what a force error of each frame explains; `a` (K, R, 2) as in `force_in`."""
-    return np.asarray(residual - (a @ force_in(residual, a)[..., None])[..., 0])
-
-
-def robust_weights(keys: KeyFrames, residual: Array, marker: float, bulk: float) -> Array:
-    """(K, m) robust weights of the tags: 1 where the residual is within `bulk` sd, beyond it falling with its square.
-
-    In the bulk all tags have the same weight: the averages of two frames would mix them unevenly otherwise.
-    """
-    distance = np.sqrt(np.sum(residual.reshape(len(residual), -1, 3) ** 2, axis=-1)) / marker
-    visible = keys.information[: keys.used, :, 0, 0] > 0.0
-    return np.asarray(visible * np.minimum(1.0, bulk / np.maximum(distance, 1e-300)) ** 2)
-
-
-def tag_noise_size(keys: KeyFrames, residual: Array, spent: float, expected: float) -> float:
-    """Size of the tags' noise over what their covariances say.
-
-    `spent`: effective number of parameters; `expected`: the size before the data.
-    """
-    loaded = ~keys.rest[: keys.used]
-    r = without_force(residual[loaded], keys.rows_a[: keys.used][loaded])
-    numbers = float(np.count_nonzero(r)) - 2.0 * len(r)
-    if numbers <= 0.0:
-        return expected
-    sizes = np.sort(np.abs(r[r != 0.0]))
-    most = _BULK * float(sizes[len(sizes) // 2]) / 0.6745
-    left_over = max(numbers - spent, 0.3 * numbers)
-    mean_square = (float(np.sum(np.minimum(sizes, most) ** 2)) + _GUESS_COUNTS * expected**2) / (
-        left_over + _GUESS_COUNTS
-    )
-    return max(float(np.sqrt(mean_square)), _LEAST)

@@ -10,7 +10,7 @@ from onebend.beam.stiffness import Profile, UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.force_error import ForceError, force_error, ramp
 from onebend.learning.frames import push_places, usable_frames
-from onebend.learning.parameters import STATED_ERRORS, Priors, Spline, make_layout
+from onebend.learning.parameters import STATED_ERRORS, Spline, make_layout
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.learner import OnlineLearner
 from onebend.progress import one_blas_thread
@@ -59,7 +59,7 @@ def settings_for(observations: Observations, settings: OnlineSettings = OnlineSe
     o = observations
     known = replace(
         settings,
-        priors=_priors(o, settings),
+        sds=_sds(o, settings),
         thickness=_known(o.stated.thickness, settings.thickness),
         tag_size=_known(o.stated.tag_size, settings.tag_size),
     )
@@ -79,10 +79,11 @@ def _known(stated: float, wanted: float | None) -> float | None:
     return stated if np.isfinite(stated) else wanted
 
 
-def _priors(o: Observations, settings: OnlineSettings) -> Priors:
-    at = make_layout(Spline(settings.functions), [o], [0], settings.priors)
-    blocks = {one.prior: at.index[one.name, -1 if one.shared else 0] for one in STATED_ERRORS if one.name != "mass"}
-    return replace(settings.priors, **{prior: float(block.prior_sd[0]) for prior, block in blocks.items()})
+def _sds(o: Observations, settings: OnlineSettings) -> dict[str, float]:
+    """Of `STATED_ERRORS` but the mass, as the recording states them where the settings do not."""
+    at = make_layout(Spline(settings.functions), [o], [0])
+    blocks = {one.name: at.index[one.name, -1 if one.shared else 0] for one in STATED_ERRORS if one.name != "mass"}
+    return {name: float(block.prior_sd[0]) for name, block in blocks.items()} | dict(settings.sds)
 
 
 def _memory(error: ForceError, times: float) -> float:

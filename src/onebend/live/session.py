@@ -20,9 +20,10 @@ from onebend.live.guidance import CaptureOutcome, CaptureSettings, CaptureState,
 from onebend.live.live import Live
 from onebend.live.recording_folder import FilmWriter, Logs, Pump, RecordingPlaces, places_for, room_left, state_start
 from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame, HostClock, Samples, files_of, measurable
+from onebend.progress import leave_real_time
 from onebend.recording.entries import Recording
-from onebend.recording.pairing import read_log
-from onebend.recording.tags import Tracker
+from onebend.recording.force import read_log
+from onebend.recording.tags import TrackedFrame, Tracker
 from onebend.recording.video import Picture
 from onebend.records import Array
 from onebend.report.confidence import identified_ranges, typical_half_width
@@ -36,7 +37,7 @@ class Follower:
 
     def __init__(self, rec: Recording, settings: CaptureSettings) -> None:
         self.why = "" if settings.follow else "k(s) was not asked for"  # there is no k(s)
-        self._rec, self._settings = rec, settings
+        self.rec, self._settings = rec, settings
         ids = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
         self._tracker = Tracker(ids, rec.tags.family)
         self._live: Live | None = None
@@ -48,27 +49,26 @@ class Follower:
             seen = self._tracker.step(frame.picture, frame.arrival)
         except ObservationError as wrong:
             return (), [str(wrong)]
-        views = guidance.tag_views(self._rec.tags, seen.corners)
+        views = guidance.tag_views(self.rec.tags, seen.corners)
         return views, guidance.setup_advice(frame.picture, views, seen.strangers)
 
     def begin(self, error: float) -> None:
         """The film begins, and its clock; that of the force is the same to `error` [s]."""
-        self._tracker = Tracker(self._tracker.tag_id, self._rec.tags.family)
+        self._tracker = Tracker(self._tracker.tag_id, self.rec.tags.family)
         if self._settings.follow:
             try:
                 self._live = Live(
-                    self._rec, clock=(0.0, error), settings=self._settings.live, beside=self._settings.live_beside
+                    self.rec, clock=(0.0, error), settings=self._settings.live, beside=self._settings.live_beside
                 )
             except RecordingError as wrong:
                 self.why = str(wrong)
 
-    def frame(self, picture: Picture, time: float) -> Array | None:
-        """(b + m, 4, 2) px, the tags of a picture of the film; None where it is of no use."""
+    def frame(self, picture: Picture, time: float) -> TrackedFrame | None:
+        """The tags of a picture of the film; None where it is of no use."""
         if self._live is not None:
-            seen = self._live.frame(picture, time)
-            return None if seen is None else seen.corners
+            return self._live.frame(picture, time)
         try:
-            return self._tracker.step(picture, time).corners
+            return self._tracker.step(picture, time)
         except ObservationError:
             return None
 
@@ -111,6 +111,7 @@ def record(
     begin: Stop | None = None,
     clock: Clock | None = None,
     tags: TagsSeen = lambda *_: None,
+    follower: Follower | None = None,
 ) -> CaptureOutcome:
     """Record one push into `folder`, which holds a `recording.toml` that names its film and its force log.
 
@@ -123,6 +124,7 @@ def record(
         begin: set from anywhere to begin the film in spite of what is wrong with the picture.
         clock: None: this machine's; `PlayedClock` plays played sources as fast as they can be read.
         tags: called from this thread with each picture of the film whose tags were searched.
+        follower: None: one of its own.
 
     Raises:
         RecordingError: recording.toml, the camera or the sensor cannot be used; nothing was recorded then.
@@ -135,7 +137,8 @@ def record(
         for source in sources:
             source.open(clock)
             opened.callback(source.close)
-        session = _Session(places, camera, force, settings, watch, clock, tags)
+        following = follower or Follower(places.rec, settings)
+        session = _Session(places, camera, force, settings, watch, clock, tags, following)
         return session.run(stop or threading.Event(), begin or threading.Event())
 
 
@@ -151,6 +154,7 @@ class _Session:
         watch: Callable[[CaptureState], None],
         clock: Clock,
         tags: TagsSeen,
+        follower: Follower,
     ) -> None:
         self._places, self._settings, self._watch, self._clock, self._tags = places, settings, watch, clock, tags
         self._pump = Pump(camera, force, clock)
@@ -159,11 +163,11 @@ class _Session:
             camera.timing, None if force is None else force.timing, () if force is None else force.columns
         )
         self._film: FilmWriter | None = None
-        self._encoder = ThreadPoolExecutor(1, "film")  # neither tags nor force wait for it
+        self._encoder = ThreadPoolExecutor(1, "film", leave_real_time)  # neither tags nor force wait for it
         self._unwritten: deque[Future[bool]] = deque()
         self._most_unwritten = 0 if self._pump.at_will else MOST_UNWRITTEN
         self._stages = Stages(places.rec, settings, forced=force is not None)
-        self._follower = Follower(places.rec, settings)
+        self._follower = follower
         self._newest = np.full(2, np.nan)  # N, the force
         self._early: deque[Frame | Samples] = deque()  # of the last moments before the film
         self._good, self._good_since = 0, math.nan
@@ -275,7 +279,8 @@ class _Session:
         self._written(self._most_unwritten)
         if self._too_late():
             self._state = replace(self._state, unfollowed=self._state.unfollowed + 1)
-        elif (corners := self._follower.frame(frame.picture, time)) is not None:
+        elif (seen := self._follower.frame(frame.picture, time)) is not None:
+            corners = seen.corners
             self._tags(frame, time, corners)
             self._stages.update(time, corners)
             self._state = replace(

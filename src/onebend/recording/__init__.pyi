@@ -1,5 +1,5 @@
 from .camera import measure_markers as measure_markers
-from .clock import ClockSettings as ClockSettings
+from .clock_features import ClockSettings as ClockSettings
 from .entries import (
     BeamEntry as BeamEntry,
     CameraEntry as CameraEntry,

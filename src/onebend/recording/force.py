@@ -1,4 +1,4 @@
-"""The force log: read, checked, cleaned, and where in it the beam is touched."""
+"""The force log: read, put on the film's clock, cleaned, and where in it the beam is touched."""
 
 from __future__ import annotations
 
@@ -11,9 +11,16 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.special import chdtri
 
+from onebend.errors import ObservationError
+from onebend.recording.bag_topics import read_bag_force
+from onebend.recording.beam_frame import BaseLog, base_clock, check_overlap
+from onebend.recording.clock import ClockFit, fit_clock
+from onebend.recording.clock_features import ClockSettings
+from onebend.recording.entries import Recording
+from onebend.recording.force_log import FEWEST_ROWS, noise_remarks, read_force_log, refuse_other_unit, size_remarks
 from onebend.recording.force_noise import first_guess
 from onebend.recording.signals import MAD_TO_SD, at_times, bridged, low_pass, outliers, runs, step
-from onebend.records import Array, BoolArray, CleanForce, ForceLog, ForceNoise, Markers, Remark
+from onebend.records import Array, BoolArray, CleanForce, ClockOffset, ForceLog, ForceNoise, Markers, Remark
 
 # The film begins with a free beam. It is free again where its markers stand still at their first places, and where it
 # swings with no more force than before the push. All else is contact.
@@ -325,6 +332,155 @@ def gap_limit(time: Array, cutoff: float, settings: ForceSettings = ForceSetting
     return max(settings.longest_gap, memory, 3 * step(time))
 
 
-def force_at(clean: CleanForce, time: Array, *, settings: ForceSettings = ForceSettings()) -> Array:
-    """(T, 2) N at the times `time` [s, log's clock]; NaN outside the log and in its gaps."""
-    return at_times(clean.time, clean.force, time, longest_gap=gap_limit(clean.time, clean.cutoff, settings))
+def read_log(rec: Recording) -> ForceLog | None:
+    """The force log, where the recording has one."""
+    if rec.force is None:
+        return None
+    if rec.force.topic:
+        return read_bag_force(rec.force)
+    column = rec.push.column if rec.push else ""
+    log = read_force_log(rec.force.file, rec.force.columns, column, time_unit=rec.force.time_unit)
+    return replace(log, remarks=(*log.remarks, *noise_remarks(log, rec.force.sensor, rec.force.white_sd)))
+
+
+def match_clocks(
+    rec: Recording,
+    markers: Markers,
+    log: ForceLog | None,
+    base: BaseLog | None,
+    clock: ClockSettings,
+    force: ForceSettings,
+) -> tuple[ForceLog | None, ClockFit]:
+    """The offset from the force, else from the base's turn, else as written; 0 where there is no second clock.
+
+    The log is given back, where its sensor is slow as one that is not would have written it."""
+    stated, uncertainty = rec.start
+    if log is None and base is None:
+        start = stated if math.isfinite(stated) else 0.0
+        return None, ClockFit(ClockOffset(offset=start, sd=uncertainty, stated=stated, found=False))
+    exact = uncertainty == 0.0 and math.isfinite(stated)
+    fit = ClockFit(ClockOffset(offset=stated, sd=0.0 if exact else math.inf, stated=stated, found=exact))
+    if log is not None and rec.force is not None:
+        check_pace(rec, markers, log)
+        axes, place = to_beam(rec.force.rotation), push_place(rec, log)
+
+        def fitted(log: ForceLog) -> ClockFit:
+            turned = replace(log, force=log.force @ axes)
+            return fit_clock(markers, turned, stated, uncertainty, push_s=place, settings=clock)
+
+        fit = fitted(log)
+        if fit.lag is not None:
+            log, remark = without_lag(log, fit.lag.tau, choose_cutoff(fit.rate, force)), _slow_words(fit.lag.tau)
+            fit = fitted(log)
+            fit = replace(fit, remarks=(remark, *fit.remarks))
+    if base is not None and not fit.clock.found:
+        base_offset = base_clock(markers, base, stated, uncertainty, margin=clock.margin)
+        if base_offset.found or log is None:
+            fit = ClockFit(base_offset, rate=fit.rate)
+    if not math.isfinite(fit.clock.offset):
+        raise ObservationError(
+            f"{rec.name}: nothing says when the film (or the tracks) starts on the log's clock, and the data do not "
+            "show it. Write start_s in recording.toml.",
+            about="clock",
+        )
+    times = log.time if log is not None else base.time if base is not None else markers.time
+    check_overlap(markers, times, fit.clock.offset, "force log" if log is not None else "base angle log")
+    return log, fit
+
+
+def _slow_words(tau: float) -> Remark:
+    """The warning of a sensor with the lag `tau` [s]."""
+    text = (
+        f"The force sensor is slow: its log follows the force with a time constant of about {tau:.2g} s, which makes "
+        "every peak too low and k(s) too small. This was undone, as well as the log allows. Switch the sensor's filter "
+        "off, or push more slowly."
+    )
+    return Remark("warning", text, about="clock")
+
+
+def check_pace(rec: Recording, markers: Markers, log: ForceLog) -> None:
+    """Raise where the log has too few rows during the film: its times are in another unit, or it is too sparse."""
+    film, spacing = float(np.ptp(markers.time)), step(log.time)
+    if spacing * FEWEST_ROWS > film:
+        raise ObservationError(
+            f"{rec.name}: the force log has a row every {spacing:.3g} s, fewer than {FEWEST_ROWS} during the film of "
+            f"{film:.3g} s. Times must be in seconds: for milliseconds write "
+            'time_unit = "ms" in [force]. Or log more often.',
+            about="unit",
+        )
+
+
+def push_place(rec: Recording, log: ForceLog) -> float | None:
+    """Where the force acts, if that stays the same to 2 % of the beam and no weight bends it too; else None."""
+    if rec.gravity is not None:
+        return None
+    if log.push_s is None:
+        return rec.push.at if rec.push else None
+    return float(np.median(log.push_s)) if float(np.ptp(log.push_s)) < 0.02 else None
+
+
+def without_lag(log: ForceLog, tau: float, cutoff: float) -> ForceLog:
+    """The log without its sensor's lag `tau` [s]: `F + tau F'`, low-passed at `cutoff` [Hz] against noise."""
+    bad = outliers(log.force, spacing=step(log.time))
+    known = [np.interp(log.time, log.time[~bad], column[~bad]) for column in log.force.T]
+    smooth = low_pass(log.time, np.stack(known, axis=1), cutoff, longest_gap=max(0.1, 3.0 * step(log.time)))
+    return replace(log, force=smooth + tau * np.gradient(smooth, log.time, axis=0))
+
+
+def cleaned(rec: Recording, log: ForceLog, contact: Contact, fit: ClockFit, settings: ForceSettings) -> CleanForce:
+    """The force on the beam, its cut-off from the markers' motion and its zero from the rests."""
+    assert rec.force is not None
+    offset = fit.clock.offset
+    clean = clean_force(
+        log,
+        [(low + offset, high + offset) for low, high in contact.rests],
+        rotation=rec.force.rotation,
+        acts_on=rec.force.acts_on,
+        cutoff=choose_cutoff(fit.rate, settings),
+        noise=fit.noise,
+        settings=settings,
+    )
+    refuse_other_unit(clean.force, rec.beam.mass, rec.name)
+    return replace(clean, remarks=(*clean.remarks, *size_remarks(clean.force, rec.beam.mass)))
+
+
+def force_at(
+    clean: CleanForce,
+    time: Array,
+    push_s: float = math.nan,
+    *,
+    epsilon: float | None = None,
+    settings: ForceSettings = ForceSettings(),
+) -> tuple[Array, Array]:
+    """(T, 2) N force and (T,) place of the push at the times `time` [s, log's clock]; NaN where the log is silent.
+
+    Interpolated, or of the nearest row of the log that is within `epsilon` [s]. The place is `push_s` where the log
+    has none."""
+    columns = clean.force if clean.push_s is None else np.column_stack([clean.force, clean.push_s])
+    if epsilon is not None:
+        after = np.clip(np.searchsorted(clean.time, time), 1, len(clean.time) - 1)
+        row = np.where(time - clean.time[after - 1] < clean.time[after] - time, after - 1, after)
+        close = np.abs(clean.time[row] - time) <= epsilon
+        seen = np.where(close[:, None], columns[row], np.nan)
+    else:
+        seen = at_times(clean.time, columns, time, longest_gap=gap_limit(clean.time, clean.cutoff, settings))
+    if clean.push_s is None:
+        return seen, np.full(len(time), push_s)
+    return seen[:, :2], seen[:, 2]
+
+
+def usable(markers: Markers, force: Array) -> tuple[BoolArray, tuple[Remark, ...]]:
+    """(T,) frames with a force and at least one marker, and remarks on the others."""
+    has_force: BoolArray = np.isfinite(force).min(axis=1)
+    has_marker: BoolArray = np.isfinite(markers.xy).min(axis=-1).max(axis=1)
+    remarks = [
+        Remark("note", f"{int(np.sum(~good))} of {len(good)} frames {why}; left out.")
+        for good, why in ((has_force, "lie outside the force log or in its gaps"), (has_marker, "show no marker"))
+        if not good.all()
+    ]
+    good: BoolArray = np.asarray(has_force & has_marker)
+    if not good.any():
+        raise ObservationError(
+            "No frame has both a marker and a force. Check the film, the log and start_s.", about="no overlap"
+        )
+    return good, tuple(remarks)

@@ -9,11 +9,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg.lapack import dpbtrf, dpotrf, dtbtrs, dtrtrs
 from scipy.optimize import minimize
 
 from onebend.recording.signals import MAD_TO_SD, bridged, runs
-from onebend.records import Array, BoolArray, ForceNoise, IntArray
+from onebend.records import Array, BoolArray, ForceNoise
 
 # The error of a force estimated from joint torques changes when the load begins, reverses or ends, with the friction in
 # the joints. These times are read from the tags, as the log itself contains the error.
@@ -99,8 +98,8 @@ def displacement(time: Array, xy: Array, rest: Array) -> Array:
 # The covariance of the error between spans of time that do not overlap: of rows, frames, or means of neighbouring
 # frames. The part that comes with the load has a time of its own, which advances only while the load changes.
 
-_LEAST = 1e-12  # of the largest variance, for rounding
-_TINY = float(np.finfo(float).tiny)
+LEAST = 1e-12  # of the largest variance, for rounding
+TINY = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True)
@@ -173,7 +172,7 @@ def covariance(noise: ForceNoise, spans: TimeSpans) -> Array:
     out += noise.walk**2 * spans.walked
     if noise.load or noise.level:
         out += noise.load**2 * spans.stages + noise.level**2
-    diagonal += _LEAST * diagonal.max(initial=0.0) + _TINY
+    diagonal += LEAST * diagonal.max(initial=0.0) + TINY
     return np.asarray(out)
 
 
@@ -207,134 +206,12 @@ def _averaging(u: Array) -> tuple[Array, Array]:
     return np.where(u < 1e-4, 1.0, share), np.where(u < 1e-4, 1.0, 2.0 * (1.0 - share) / wide)
 
 
-# Row i of one axis is `x_i + w_i + e_i`: an Ornstein-Uhlenbeck process, a random walk and white noise. The precision P
-# of the states (x_0, w_0, x_1, w_1, ...) is a band, and C^-1 = (1 - H (W P + H' H)^-1 H') / W with W the variance of e
-# and H the sum of the two states of a row: one banded Cholesky factor.
-
-_NEGLIGIBLE = 1e-14  # of the white variance: a step of a process below it is taken for it
-
-
-@dataclass(frozen=True)
-class NoiseFactor:
-    """`C` (N, N) N^2, the covariance of the noise of one axis at N rows."""
-
-    root: Array  # (3, 2 N) the lower Cholesky factor of W P + H' H, as a band
-    white: float  # W, N^2
-    log_root: float  # half of the log of the determinant of C
-
-    def inner(self, columns: Array) -> Array:
-        """(c, c): `columns' C^-1 columns` for `columns` (N, c)."""
-        summed = np.repeat(columns, 2, axis=0)
-        summed[1] = 0.0  # the walk begins at zero
-        half, _ = dtbtrs(self.root, summed, uplo="L")
-        return np.asarray((columns.T @ columns - half.T @ half) / self.white)
-
-
-def noise_factor(noise: ForceNoise, time: Array, walked: Array | None = None) -> NoiseFactor:
-    """Of the white, coloured and walking parts of `noise` at rising `time` (N,) [s], in a time that goes with the rows;
-    `walked` (N,) [N^2]: variance so far of a second walk."""
-    n, gaps = len(time), np.diff(time)
-    coloured, walk = noise.coloured**2, noise.walk**2
-    white = noise.white**2 + _LEAST * (coloured + walk * (time[-1] - time[0])) + _TINY
-    of_x, of_w = np.full(n, coloured), np.ones(n)  # variances of the steps; w_0 is none
-    of_x[1:] = -coloured * np.expm1(-2.0 * gaps / noise.tau)
-    of_w[1:] = walk * gaps if walked is None else walk * gaps + np.diff(walked)
-    of_x, of_w = np.maximum(of_x, _NEGLIGIBLE * white), np.maximum(of_w, _NEGLIGIBLE * white)
-    decay, x, w = np.exp(-gaps / noise.tau), white / of_x, white / of_w
-    w[0] = 1.0
-    band = np.zeros((3, 2 * n))
-    band[0, ::2] = 1.0 + x
-    band[0, :-2:2] += decay**2 * x[1:]
-    band[0, 1::2] = w
-    band[0, 3::2] += 1.0
-    band[0, 3:-2:2] += w[2:]
-    band[1, 2::2] = 1.0
-    band[2, :-2:2] = -decay * x[1:]
-    band[2, 3:-2:2] = -w[2:]
-    root, info = dpbtrf(band, lower=1)
-    if info:
-        raise np.linalg.LinAlgError("the covariance of the force's noise is not positive definite")
-    steps = float(np.sum(np.log(of_x)) + np.sum(np.log(of_w[1:])))
-    log_root = float(np.sum(np.log(root[0]))) + 0.5 * (steps - (n - 1) * np.log(white))
-    return NoiseFactor(np.asarray(root), white, log_root)
-
-
-@dataclass(frozen=True)
-class LinearModel:
-    """`values` (N, a) = `design` (N, a, p) @ standard normal coefficients + noise; equal columns stand once."""
-
-    columns: Array  # (N, c)
-    coefficients: int  # p
-    of_axis: tuple[tuple[IntArray, IntArray], ...]  # (q + 1,) of each axis: its coefficients, and p; its columns
-
-
-@dataclass(frozen=True)
-class ColumnLayout:
-    """Which columns of a design (N, a, p) are not zero, and which of them differ."""
-
-    axis: IntArray  # (d,) of those that differ
-    coefficient: IntArray  # (d,)
-    of_axis: tuple[tuple[IntArray, IntArray], ...]  # (q,) of each axis: its coefficients; which of the d they are
-
-
-def layout_of(design: Array) -> ColumnLayout:
-    """Of `design` (N, a, p)."""
-    number: dict[bytes, int] = {}
-    first: list[tuple[int, int]] = []
-    of_axis = []
-    for a in range(design.shape[1]):
-        used = np.flatnonzero(np.any(design[:, a], axis=0))
-        for i in used.tolist():
-            if number.setdefault(design[:, a, i].tobytes(), len(first)) == len(first):
-                first.append((a, i))
-        of_axis.append((used, np.array([number[design[:, a, i].tobytes()] for i in used], dtype=np.int64)))
-    axis, coefficient = np.array(first, dtype=np.int64).reshape(-1, 2).T
-    return ColumnLayout(axis, coefficient, tuple(of_axis))
-
-
-def linear_model(design: Array, values: Array, layout: ColumnLayout | None = None) -> LinearModel:
-    """Of `design` (N, a, p) and `values` (N, a); `layout`: of designs of which this one is a part."""
-    layout = layout or layout_of(design)
-    differing, p = len(layout.axis), design.shape[2]
-    of_axis = tuple(
-        (np.append(used, p), np.append(at, differing + axis)) for axis, (used, at) in enumerate(layout.of_axis)
-    )
-    return LinearModel(np.concatenate([design[:, layout.axis, layout.coefficient], values], axis=1), p, of_axis)
-
-
-def log_evidence(factor: NoiseFactor, model: LinearModel) -> float:
-    """Log probability of the model's values, less a constant.
-
-    The coefficients are shared by the axes and integrated out (Bayesian linear model; the p x p form of the matrix
-    inversion lemma); the noise of the axes is independent, each one's covariance is that of `factor`.
-    """
-    products = factor.inner(model.columns)
-    p = model.coefficients
-    inner = np.eye(p + 1)
-    for rows, at in model.of_axis:
-        inner[rows[:, None], rows] += products[at[:, None], at]
-    square = float(inner[p, p]) - 1.0
-    root, _ = dpotrf(inner[:p, :p], lower=1)
-    explained, _ = dtrtrs(root, inner[:p, p], lower=1)
-    spread = len(model.of_axis) * factor.log_root + float(np.sum(np.log(np.diag(root))))
-    return float(-0.5 * (square - explained @ explained) - spread)
-
-
 def first_guess(values: Array, spacing: float) -> ForceNoise:
     """A noise of plausible size for `values` (N, a) sampled every `spacing` [s]."""
     jumps = np.diff(values, n=2, axis=0)
     white = float(np.median(np.abs(jumps))) * MAD_TO_SD / np.sqrt(6) if len(jumps) else 0.0
     size = max(white, 1e-3 * float(np.ptp(values, axis=0).max(initial=0.0)), np.finfo(float).tiny ** 0.25)
     return ForceNoise(white=size, coloured=size, tau=max(0.2, spacing), walk=0.5 * size, spacing=spacing)
-
-
-def fit_noise(time: Array, model: LinearModel, start: ForceNoise) -> ForceNoise:
-    """The likeliest noise of the model's values at `time` (N,) around anything that its columns can follow."""
-
-    def misfit(noise: ForceNoise, square: float) -> float:
-        return 0.5 * square - log_evidence(noise_factor(noise, time), model)
-
-    return likeliest_noise(start, misfit, 120)
 
 
 _FARTHEST = 3.0  # sd of the prior: a log without noise would lead on until rounding is all that is left

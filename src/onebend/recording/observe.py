@@ -14,21 +14,21 @@ from onebend.options import option
 from onebend.progress import Progress, Silent, one_blas_thread
 from onebend.recording.beam_frame import BaseLog, RestShape, gravity_in_frame, read_base_log, rest_shape, to_beam_frame
 from onebend.recording.camera import check_turns, measure_markers
-from onebend.recording.clock import ClockSettings
+from onebend.recording.clock_features import ClockSettings
 from onebend.recording.entries import Recording, TagsEntry, VideoEntry
 from onebend.recording.folder import FILE_NAME, read_recording
-from onebend.recording.force import ContactSettings, ForceSettings, find_contact
-from onebend.recording.outline import with_outline
-from onebend.recording.pairing import (
-    check_direction,
-    check_place,
+from onebend.recording.force import (
+    ContactSettings,
+    ForceSettings,
     cleaned,
+    find_contact,
+    force_at,
     match_clocks,
-    pair,
     read_log,
     usable,
-    without_slow_sensor,
 )
+from onebend.recording.force_axes import check_direction, check_place
+from onebend.recording.outline import with_outline
 from onebend.recording.photos import photo_observations
 from onebend.recording.poses import pose_observations
 from onebend.recording.signals import MOST_FRAMES, check_span
@@ -196,18 +196,17 @@ def assemble(
     check_span(markers.time, rec.name, most=MOST_FRAMES)
     # Clocks and contact are read with angles; only measured ones are learned from.
     reading = with_angles(of_markers(markers, read_before_fit(markers)))
-    fit = match_clocks(rec, reading, log, base, settings.clock)
-    log, slow = without_slow_sensor(rec, reading, log, fit, settings.clock, settings.force)
-    if slow:
-        fit = match_clocks(rec, reading, log, base, settings.clock)
+    log, fit = match_clocks(rec, reading, log, base, settings.clock, settings.force)
     contact = find_contact(reading, log, offset=fit.clock.offset, settings=settings.contact)
     time, clean = markers.time + fit.clock.offset, None
+    force, push_s, loaded = np.zeros((len(time), 2)), np.full(len(time), np.nan), np.zeros(len(time), dtype=bool)
+    if log is not None:
+        clean = cleaned(rec, log, contact, fit, settings.force)
+        at_s = rec.push.at if rec.push else np.nan
+        force, push_s = force_at(clean, time, at_s, epsilon=settings.epsilon, settings=settings.force)
+        loaded = contact.loaded
     gravity = gravity_in_frame(rec.gravity, base, markers, time)
     in_frame, rest, frame_remarks = to_beam_frame(markers, contact.still, rec.tags.placement_sd, gravity)
-    if log is not None:
-        clean = cleaned(rec, reading, log, contact, fit, settings.force)
-    force, push_s = pair(rec, clean, time, epsilon=settings.epsilon, settings=settings.force)
-    loaded = contact.loaded if clean is not None else np.zeros(len(time), dtype=bool)
     few = of_markers(in_frame, read_before_fit(in_frame))
     angled = with_angles(few)
     bare = rest_shape(angled, contact.still)
@@ -215,7 +214,7 @@ def assemble(
     if np.any(tags_among(few)):  # points of an outline have no angle of their own
         implausible += check_place(rec, few, rest_shape(few, contact.still), push_s, loaded)
     use, drop_remarks = usable(markers, force)
-    remarks = (*rec.remarks, *markers.remarks, *slow, *fit.remarks)
+    remarks = (*rec.remarks, *markers.remarks, *fit.remarks)
     remarks += frame_remarks if clean is None else (*contact.remarks, *frame_remarks, *clean.remarks)
     source = Source(
         name=rec.name,

@@ -13,13 +13,14 @@ from scipy.ndimage import uniform_filter1d
 from onebend.errors import ObservationError, OnebendError, told
 from onebend.recording.bag_topics import bag_span
 from onebend.recording.beam_frame import read_base_log, rest_shape
-from onebend.recording.clock import ClockSettings, reach_of
+from onebend.recording.clock import reach_of
+from onebend.recording.clock_features import ClockSettings
 from onebend.recording.entries import Recording, VideoEntry
 from onebend.recording.folder import read_recording
-from onebend.recording.force import to_beam
+from onebend.recording.force import check_pace, read_log, to_beam
+from onebend.recording.force_axes import check_direction
 from onebend.recording.force_log import refuse_other_unit, size_remarks
 from onebend.recording.observe import FEWEST_FRAMES, observe
-from onebend.recording.pairing import check_direction, check_pace, read_log
 from onebend.recording.photos import photo_observations
 from onebend.recording.poses import read_loads, read_points
 from onebend.recording.preview import Preview, bent, displacement, look_at

@@ -20,7 +20,6 @@ from onebend.drive.plan import DrivePlan, DriveSettings, plan_rows
 from onebend.drive.seeing import BentModel
 from onebend.errors import StudioError
 from onebend.lab.designs import DESIGNS
-from onebend.progress import real_time
 from onebend.studio.filming import asked_text, check_source
 from onebend.studio.jobs import asked_number, process, tell
 from onebend.studio.looping import NUMBERS, asked_goal
@@ -80,12 +79,11 @@ def work(wanted: Mapping[str, Any]) -> None:
             if stop.is_set():
                 raise KeyboardInterrupt
         begun = time.monotonic()
-        with real_time():  # of all threads: one that waits for its turn may keep the others waiting
-            talk = Talk(sys.stdout, lambda state, _: {"now": state_data(state, bent, time.monotonic() - begun)})
-            try:
-                outcome = commands.go(folder, asked, plan, robot, talk.watch, (stop,))
-            finally:
-                talk.end()
+        talk = Talk(sys.stdout, lambda state, _: {"now": state_data(state, bent, time.monotonic() - begun)})
+        try:
+            outcome = commands.go(folder, asked, plan, robot, talk.watch, (stop,))
+        finally:
+            talk.end()
     goals = outcome.data["goals"]
     tell({"found": {"outcome": goals, "delay_s": outcome.data["delay_s"], "folder": wanted["out"]}})
     commands.refuse_failed(outcome)

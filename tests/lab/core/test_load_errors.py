@@ -7,7 +7,8 @@ import pytest
 
 from benchmarks.mistaken_place import drawn
 from onebend.lab.virtual import virtual_recording
-from onebend.recording.clock import OffsetScan, apart, averaged_over, fit_clock, peaks
+from onebend.recording.clock import fit_clock
+from onebend.recording.clock_evidence import OffsetScan, averaged_over, peaks
 from onebend.records import ForceNoise
 
 GRID = np.linspace(-1.0, 1.0, 41)
@@ -35,7 +36,7 @@ def scan(*peaked: tuple[float, float]) -> OffsetScan:
 def test_peaks_that_may_be_right_are_looked_at_the_highest_of_each_search_first() -> None:
     low, high = scan((0.5, -100.0), (-0.5, -102.0)), scan((0.0, 10.0), (0.8, 1.0))
     assert np.allclose(peaks([low, high], GRID), [0.5, 0.0, -0.5])
-    assert apart([0.5, 0.45, 0.0, 0.66, 0.6], 0.15) == [0.5, 0.0, 0.66]
+    assert np.allclose(peaks([low, scan((0.45, 0.0), (0.0, -1.0))], GRID), [0.5, 0.0, -0.5])
 
 
 def test_sets_of_features_count_by_their_evidence() -> None:

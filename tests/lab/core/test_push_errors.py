@@ -12,25 +12,25 @@ from onebend.lab.bench import ForceSensor, PushProfile
 from onebend.lab.designs import force_that_bends
 from onebend.lab.virtual import DeclaredValues, VirtualBench, observe_virtual, virtual_recording
 from onebend.learning.fit_data import FitData, fit_data
-from onebend.learning.parameters import Layout, Priors, Spline, make_layout
+from onebend.learning.parameters import Layout, Spline, make_layout
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.prediction import predict
 from onebend.learning.verdict import fit_notices
-from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations
+from onebend.records import DIRECTION_SD, PLACE_SD, Array, ClockOffset, Observations
 from onebend.report.sentences import worded
 from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
-from tests.made_up import with_stated
+from tests.made_up import with_source, with_stated
 
 pytestmark = pytest.mark.usefixtures("no_other_places")
 
-FREE = Priors(mounting=0.0, placement=0.0, clamp=0.0, origin=0.0)
+HELD = {"turn_sd": 0.0, "placement_sd": 0.0, "clamp_sd": 0.0}
 
 
-def prepared(one: Observations, priors: Priors = FREE) -> tuple[FitData, Layout, Array]:
+def prepared(one: Observations) -> tuple[FitData, Layout, Array]:
     """A film, its parameters, and their values at the beam's own k."""
     spline = Spline(48)
     seen = fit_data(one, 0, np.ones(len(one.time), dtype=bool), spline)
-    at = make_layout(spline, [one], [len(seen.error.knots)], priors)
+    at = make_layout(spline, [one], [len(seen.error.knots)])
     s = np.linspace(0.0, 1.0, 400)
     x = np.zeros(at.size)
     x[: spline.count] = np.linalg.lstsq(spline.basis(s), np.log(SOFT.stiffness(s)), rcond=None)[0]
@@ -46,7 +46,7 @@ def poses(force: Array, at_s: float) -> Array:
 def test_a_push_farther_out_is_a_push_at_another_place(at_s: float) -> None:
     force, out = forces(20), 1e-4
     one = observed(SOFT, force, at_s=at_s)
-    seen, at, x = prepared(one)
+    seen, at, x = prepared(with_stated(one, **HELD))
     x[at.index["place", 0].where] = out
     moved = predict(seen, at, x, None).pose[: len(force)] - poses(force, at_s)
     exact = poses(force, at_s + out / SOFT.length) - poses(force, at_s)
@@ -58,7 +58,7 @@ def test_a_push_farther_out_is_a_push_at_another_place(at_s: float) -> None:
 def test_turned_axes_turn_the_logged_force() -> None:
     force, turn = forces(20), 0.03
     turned = force @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    seen, at, x = prepared(observed(SOFT, force))
+    seen, at, x = prepared(with_stated(observed(SOFT, force), **HELD))
     x[at.index["direction", 0].where] = turn
     np.testing.assert_allclose(predict(seen, at, x, None).force[: len(force)], turned, atol=1e-12)
 
@@ -66,7 +66,8 @@ def test_turned_axes_turn_the_logged_force() -> None:
 @pytest.mark.parametrize("name", ["place", "direction", "force", "clock"])
 def test_derivatives_are_those_of_the_prediction(name: str) -> None:
     one = replace(observed(SOFT, forces(12), at_s=0.9), time=np.arange(12) / 5.0)
-    seen, at, x = prepared(one, replace(FREE, clock=0.01, placement=1e-3))
+    one = with_source(one, clock=ClockOffset(offset=0.0, sd=0.005, stated=0.0, found=True))
+    seen, at, x = prepared(with_stated(one, **(HELD | {"placement_sd": 1e-3})))
     x[at.index["place", 0].where], x[at.index["direction", 0].where] = 2e-3, 0.1
     x[at.index["along", -1].where] = -1e-3
     columns, where, h = at.columns(name, 0), at.index[name, 0].where, 1e-5

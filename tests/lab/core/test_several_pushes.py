@@ -10,8 +10,8 @@ import pytest
 from onebend.lab.bench import ForceSensor, PushProfile
 from onebend.lab.designs import force_that_bends
 from onebend.lab.virtual import VirtualBench, virtual_recording
-from onebend.recording.clock import ClockSettings
-from onebend.recording.pairing import match_clocks
+from onebend.recording.clock_features import ClockSettings
+from onebend.recording.force import ForceSettings, match_clocks
 from onebend.recording.tracks import with_angles
 from onebend.records import Array
 from tests.made_up import BEAM
@@ -52,6 +52,7 @@ def test_a_film_of_eight_pushes_claims_no_better_clock_than_it_has(coloured: flo
     said = replace(bench.clock, declared=bench.clock.offset + 1.1, uncertainty=2.0)
     made = virtual_recording(replace(bench, clock=said), seed=3)
     assert len(made.markers.time) > 1000
-    clock = match_clocks(made.recording, with_angles(made.markers), made.log, None, ClockSettings()).clock
+    markers = with_angles(made.markers)
+    clock = match_clocks(made.recording, markers, made.log, None, ClockSettings(), ForceSettings())[1].clock
     assert clock.found
     assert abs(clock.offset - bench.clock.offset - sensor.lag) < 3.0 * np.hypot(clock.sd, EXACT)

@@ -10,18 +10,16 @@ import pytest
 from benchmarks.studies import bench_of
 from onebend.lab.virtual import VirtualRecording, virtual_recording
 from onebend.recording.clock import fit_clock
-from onebend.recording.clock_likelihood import (
+from onebend.recording.clock_evidence import moments_of
+from onebend.recording.clock_features import ClockSettings, Moments, film_features, without_jumps
+from onebend.recording.clock_moments import (
     ForceLogModel,
-    Moments,
     MomentsAtRows,
     film_misfit,
     fit_jumps,
     load_change_share,
     log_covariance,
-    make_moments,
     moments_at,
-    moments_of,
-    without_jumps,
 )
 from onebend.recording.force_noise import TimeSpans, covariance
 from onebend.records import ForceNoise
@@ -39,7 +37,7 @@ def exact(seed: int) -> tuple[VirtualRecording, Moments]:
     """A virtual recording with the true poses of the tags, and its moments."""
     virtual = made("white", seed)
     markers = replace(virtual.markers, xy=virtual.pose[..., :2], angle=virtual.pose[..., 2])
-    moments = make_moments(markers, push_s=PUSH_S, longest_gap=0.25, hold=2.0)
+    moments = film_features(markers, PUSH_S, ClockSettings()).moments
     assert moments is not None
     return virtual, moments
 

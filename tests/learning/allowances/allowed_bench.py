@@ -9,7 +9,7 @@ import numpy as np
 from onebend.beam.stiffness import Uniform
 from onebend.learning.allowances import EVERY_ALLOWANCE, Film, PushCourse, course_of
 from onebend.learning.fit_data import FitData, fit_data
-from onebend.learning.parameters import Layout, Priors, Spline, make_layout
+from onebend.learning.parameters import Layout, Spline, make_layout
 from onebend.records import Array, Observations, View
 from tests.learning.bench import SOFT, forces, observed
 from tests.made_up import with_source, with_stated
@@ -53,7 +53,7 @@ def with_everything(*, share: float) -> tuple[FitData, Layout, Array]:
     """Data, layout and parameters (P,), about half of a prior sd from zero each; `share` is what relaxes."""
     made, spline = filmed(), Spline(7)
     one = fit_data(made, 0, np.ones(len(made.time), dtype=bool), spline, EVERY_ALLOWANCE)
-    layout = make_layout(spline, [made], [len(one.error.knots)], Priors(), [one.allowances])
+    layout = make_layout(spline, [made], [len(one.error.knots)], [one.allowances])
     rng, x = np.random.default_rng(0), np.zeros(layout.size)
     for block in layout.blocks:
         if block.start >= 0 and block.name != "force":

@@ -11,7 +11,7 @@ from onebend.beam.grid import Grid, make_grid
 from onebend.learning.allowances import PATCH_SD, SHARES, USUAL_SIZE, WIDTHS, patch_functions, patch_means, patches
 from onebend.learning.fit_data import fit_data
 from onebend.learning.linear import FitProblem, Hyperparameters, RecordingNoise, log_k_map
-from onebend.learning.parameters import RHO, TAU, Priors, Spline, make_layout
+from onebend.learning.parameters import RHO, TAU, Spline, make_layout
 from onebend.learning.posterior import unknown_width
 from tests.learning.allowances.allowed_bench import TAGS, course, filmed
 from tests.made_up import with_stated
@@ -56,7 +56,7 @@ def test_nodes_see_a_patch_as_wide_as_it_is_wherever_they_lie(middle: float) -> 
 def test_the_reported_stiffness_has_the_patches_in_it() -> None:
     made, spline = with_stated(filmed(), tag_size=0.02), Spline(45)
     one = fit_data(made, 0, np.ones(len(made.time), dtype=bool), spline, frozenset({"patches"}))
-    layout = make_layout(spline, [made], [len(one.error.knots)], Priors(), [one.allowances])
+    layout = make_layout(spline, [made], [len(one.error.knots)], [one.allowances])
     expected = Hyperparameters(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, 1.0, (RecordingNoise(1.0, 1e-4),))
     index, onto = log_k_map(FitProblem((one,), layout, 0.0, expected))
     x = np.zeros(layout.size)
@@ -68,7 +68,7 @@ def test_the_reported_stiffness_has_the_patches_in_it() -> None:
     )
     assert np.sqrt(np.mean((reported - true) ** 2)) < 0.05 * 0.7
     assert np.max(np.abs(np.interp(TAGS, S, reported - true))) < 0.05 * 0.7
-    without = make_layout(spline, [made], [len(one.error.knots)], Priors())
+    without = make_layout(spline, [made], [len(one.error.knots)])
     bare = log_k_map(FitProblem((replace(one, allowances=()),), without, 0.0, expected))
     np.testing.assert_array_equal(bare[1], spline.on_finer)
 

@@ -18,7 +18,7 @@ from onebend.learning.frequencies import (
     validated_frequencies,
 )
 from onebend.learning.optimizer import FitSettings
-from onebend.learning.parameters import Priors, Spline, make_layout
+from onebend.learning.parameters import Spline, make_layout
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of, with_mass
 from onebend.records import MassAlong, MeasuredFrequency, Observations, PointMass
@@ -46,7 +46,7 @@ def seen(mass_along: MassAlong = "unknown", frequencies: tuple[MeasuredFrequency
 def test_slopes_with_all_parameters_are_those_of_central_differences(mass_along: MassAlong) -> None:
     o = seen(mass_along)
     spline, rng = Spline(12), np.random.default_rng(0)
-    layout = make_layout(spline, [o], [0], Priors())
+    layout = make_layout(spline, [o], [0])
     (data,) = frequency_data([o], spline)
     x = 0.05 * rng.standard_normal(layout.size)
     x[: spline.count] += np.log(0.06)
@@ -61,7 +61,7 @@ def test_slopes_with_all_parameters_are_those_of_central_differences(mass_along:
 
 def test_without_weight_only_the_ratio_of_k_to_mass_counts() -> None:
     o = seen("even", tuple(replace(one, gravity=(0.0, 0.0), tip_mass=0.0) for one in FREQUENCIES))
-    layout = make_layout(Spline(12), [o], [0], Priors())
+    layout = make_layout(Spline(12), [o], [0])
     (data,) = frequency_data([o], layout.spline)
     x = np.zeros(layout.size)
     slopes = predicted_frequencies(data, layout, x).slopes
@@ -72,7 +72,7 @@ def test_without_weight_only_the_ratio_of_k_to_mass_counts() -> None:
 
 def test_a_beam_that_its_weight_makes_buckle_has_no_frequency() -> None:
     o = seen("even")
-    layout = make_layout(Spline(12), [o], [0], Priors())
+    layout = make_layout(Spline(12), [o], [0])
     (data,) = frequency_data([o], layout.spline)
     x = np.zeros(layout.size)
     x[:12] = np.log(0.008)  # m g L / k = 9.2, more than 7.84

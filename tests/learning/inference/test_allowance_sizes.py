@@ -12,7 +12,7 @@ from onebend.learning.fit_data import fit_data
 from onebend.learning.hyperparameters import FACTORS, Evidence, choose_sizes, log_density_of
 from onebend.learning.linear import FitProblem, Hyperparameters, RecordingNoise, data_information, residual_rows
 from onebend.learning.normal import InformationForm
-from onebend.learning.parameters import RHO, TAU, Priors, Spline, make_layout
+from onebend.learning.parameters import RHO, TAU, Spline, make_layout
 from onebend.learning.prediction import predict
 from tests.learning.bench import SOFT, forces, observed
 
@@ -49,7 +49,7 @@ def test_where_nothing_shows_it_is_as_small_as_can_be_seen() -> None:
 def test_a_discrepancy_of_the_tags_is_found_at_its_size(size: float) -> None:
     made, spline = observed(SOFT, forces(60), noise=(5e-6, 1e-4)), Spline(8)
     one = fit_data(made, 0, np.ones(60, dtype=bool), spline, frozenset({"discrepancy"}))
-    layout = make_layout(spline, [made], [len(one.error.knots)], Priors(), [one.allowances])
+    layout = make_layout(spline, [made], [len(one.error.knots)], [one.allowances])
     x, block = np.zeros(layout.size), layout.index["discrepancy", 0]
     x[layout.index["stiffness", -1].where] = np.log(0.02)
     drawn = size * block.prior_sd * np.random.default_rng(2).standard_normal(len(block.prior_sd))

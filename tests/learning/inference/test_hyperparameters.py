@@ -22,7 +22,7 @@ from onebend.learning.linear import (
     rest_score,
     unweighted_rows,
 )
-from onebend.learning.parameters import RHO, TAU, Priors, Spline, make_layout
+from onebend.learning.parameters import RHO, TAU, Spline, make_layout
 from onebend.learning.prediction import Slopes, predict
 from onebend.records import Array
 from tests.learning.bench import SOFT, forces, observed
@@ -39,7 +39,7 @@ def evidence_of(count: int) -> tuple[Evidence, Hyperparameters]:
     stretched = [replace(made, time=(1.0 + 0.2 * i) * made.time) for i in range(max(count, 1))]
     observations = [with_source(o, name=str(i)) for i, o in enumerate(stretched)]
     data = tuple(fit_data(o, i, np.ones(len(o.time), dtype=bool), spline) for i, o in enumerate(observations))
-    layout = make_layout(spline, observations, [len(d.error.knots) for d in data], Priors())
+    layout = make_layout(spline, observations, [len(d.error.knots) for d in data])
     x = np.concatenate([LEVEL + 0.3 * np.cos(np.arange(8)), 1e-3 * np.sin(np.arange(layout.size - 8))])
     noise = tuple(RecordingNoise(1.3, 0.003 * (i + 1)) for i in range(len(data)))
     expected = Hyperparameters(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, 1.0, noise)

@@ -12,7 +12,7 @@ from onebend.errors import LearningError
 from onebend.learning.fit_data import fit_data
 from onebend.learning.linear import FitProblem
 from onebend.learning.optimizer import MapEstimate, Miss, first_problem, misses, refuse_lost_force
-from onebend.learning.parameters import Priors, Spline, make_layout
+from onebend.learning.parameters import Spline, make_layout
 from onebend.learning.prediction import Prediction, predict
 from onebend.records import Array, Remark
 from tests.learning.bench import IDEAL, SOFT, forces, observed
@@ -26,7 +26,7 @@ def exact() -> Prediction:
     made = observed(SOFT, forces(10), noise=(SD, 1e-3))
     spline = Spline(8)
     data = fit_data(made, 0, np.ones(len(made.time), dtype=bool), spline)
-    layout = make_layout(spline, [made], [len(data.error.knots)], Priors())
+    layout = make_layout(spline, [made], [len(data.error.knots)])
     x = np.zeros(layout.size)
     x[: spline.count] = np.log(0.02)
     now = predict(data, layout, x, None)

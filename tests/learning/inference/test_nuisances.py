@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from onebend.learning.fit_data import FitData, at_rest, beam_points, fit_data
-from onebend.learning.parameters import Block, Layout, Priors, Spline, make_layout
+from onebend.learning.parameters import Block, Layout, Spline, make_layout
 from onebend.learning.posterior import correlations, fit, quantities
 from onebend.records import Observations
 from tests.learning.bench import IDEAL, SOFT, forces, observed
@@ -24,7 +24,7 @@ def made() -> Observations:
 
 def prepared(made: Observations) -> tuple[FitData, Layout]:
     one = fit_data(made, 0, np.ones(len(made.time), dtype=bool), SPLINE)
-    return one, make_layout(SPLINE, [made], [len(one.error.knots)], Priors())
+    return one, make_layout(SPLINE, [made], [len(one.error.knots)])
 
 
 def test_a_straight_error_has_the_mean_and_the_drift_of_the_line(made: Observations) -> None:
@@ -78,13 +78,12 @@ def test_what_trades_off_is_what_is_reported(made: Observations) -> None:
 
 
 def test_the_tags_turns_have_the_tolerance_of_the_recording(made: Observations) -> None:
-    def turns(one: Observations, priors: Priors = Priors()) -> Block:
-        return make_layout(SPLINE, [one], [0], priors).index["turn", -1]
+    def turns(one: Observations) -> Block:
+        return make_layout(SPLINE, [one], [0]).index["turn", -1]
 
     np.testing.assert_allclose(turns(made).prior_sd, np.deg2rad(1.5))
     np.testing.assert_allclose(turns(with_stated(made, turn_sd=0.1)).prior_sd, 0.1)
     assert turns(with_stated(made, turn_sd=0.0)).start < 0
-    np.testing.assert_allclose(turns(with_stated(made, turn_sd=0.0), Priors(mounting=0.2)).prior_sd, 0.2)
 
 
 def test_tags_that_sit_exactly_give_the_shape_at_rest(made: Observations) -> None:

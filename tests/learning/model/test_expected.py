@@ -10,7 +10,7 @@ import pytest
 from onebend.learning.fit_data import fit_data
 from onebend.learning.force_error import filtered, force_error, ramp
 from onebend.learning.frames import whitening
-from onebend.learning.parameters import LEVEL_SD, RHO, TAU, Priors, Spline, clamp_sd, make_layout
+from onebend.learning.parameters import LEVEL_SD, RHO, TAU, Spline, clamp_sd, make_layout
 from onebend.records import CleanForce, ClockOffset, ForceNoise
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 from tests.made_up import with_source, with_stated
@@ -88,20 +88,20 @@ def test_the_beam_at_rest_counts_as_one_frame() -> None:
 
 def test_the_clock_is_trusted_half_as_much_as_it_says() -> None:
     clock = ClockOffset(offset=0.0, sd=0.01, stated=0.0, found=True)
-    layout = make_layout(SPLINE, [with_source(MADE, clock=clock)], [4], Priors())
+    layout = make_layout(SPLINE, [with_source(MADE, clock=clock)], [4])
     assert layout.index["clock", 0].prior_sd[0] == pytest.approx(0.02)
 
 
 def test_the_clamps_direction_is_known_as_well_as_the_tags_places_tell_it() -> None:
     o = with_stated(MADE, clamp_sd=0.003, placement_sd=5e-4)
     line = 2.0 * 5e-4 / np.linalg.norm(0.15 * MARKERS)
-    assert clamp_sd(o, Priors()) == pytest.approx(np.hypot(0.003, line), rel=1e-12)
-    assert clamp_sd(with_stated(o, clamp_sd=0.0), Priors()) == 0.0
+    assert clamp_sd(o) == pytest.approx(np.hypot(0.003, line), rel=1e-12)
+    assert clamp_sd(with_stated(o, clamp_sd=0.0)) == 0.0
 
 
 def test_k_that_is_one_number_varies_by_a_hundredth() -> None:
-    layout = make_layout(SPLINE, [with_stated(MADE, stiffness_along="even")], [4], Priors())
+    layout = make_layout(SPLINE, [with_stated(MADE, stiffness_along="even")], [4])
     root = layout.stiffness_root(layout.first_variances)
     np.testing.assert_allclose(root @ root.T, LEVEL_SD**2 + 0.01**2 * np.eye(8), rtol=1e-12, atol=1e-12)
-    free = make_layout(SPLINE, [MADE], [4], Priors())
+    free = make_layout(SPLINE, [MADE], [4])
     np.testing.assert_array_equal(free.first_variances, SPLINE.variances(TAU, RHO))

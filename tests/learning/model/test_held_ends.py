@@ -16,7 +16,7 @@ from onebend.beam.problem import make_problem
 from onebend.beam.stiffness import Scaled, Uniform
 from onebend.errors import ObservationError, RecordingError
 from onebend.learning.fit_data import fit_data
-from onebend.learning.parameters import Priors, Spline, make_layout
+from onebend.learning.parameters import Spline, make_layout
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.prediction import predict
 from onebend.learning.start import start_of, with_mass
@@ -75,7 +75,7 @@ def test_derivatives_with_every_parameter_are_exact(tmp_path: Path) -> None:
         [held_points(HEAVY, weight(G * DOWN)), hold(HEAVY, ENDS[:1], weight(G * DOWN)).solved.xy(ROD_S)]
     )
     o = observe(held_folder(tmp_path / "rod", shown, more="4,1,0.3,0.2,-0.05\n"))  # held four times, free once
-    at = make_layout(Spline(6), [o], [0], Priors())
+    at = make_layout(Spline(6), [o], [0])
     seen = fit_data(o, 0, np.ones(len(o.time), dtype=bool), at.spline)
     rng = np.random.default_rng(1)
     x = 0.01 * rng.normal(size=at.size)

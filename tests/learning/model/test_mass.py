@@ -15,7 +15,7 @@ from onebend.beam.problem import make_problem
 from onebend.beam.stiffness import Scaled, Table
 from onebend.errors import LearningError, RecordingError
 from onebend.learning.fit_data import POWERS, fit_data
-from onebend.learning.parameters import Priors, Spline, make_layout, shared_mass
+from onebend.learning.parameters import Spline, make_layout, shared_mass
 from onebend.learning.posterior import fit
 from onebend.learning.prediction import predict
 from onebend.learning.start import start_of, with_mass
@@ -54,7 +54,7 @@ def bench(folder: Path, beam: Beam, along: str, *, entry: str = "", sd: float = 
 @pytest.mark.parametrize("along", ["unknown", *POWERS])
 def test_the_weight_follows_k_with_exact_derivatives(tmp_path: Path, along: MassAlong) -> None:
     o = bench(tmp_path, ROD, along, entry="mass_kg = 0.03\n")
-    at = make_layout(Spline(8), [o], [0], Priors())
+    at = make_layout(Spline(8), [o], [0])
     seen = fit_data(o, 0, np.ones(len(o.time), dtype=bool), at.spline)
     rng = np.random.default_rng(1)
     x = 0.01 * rng.normal(size=at.size)

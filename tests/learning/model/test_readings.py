@@ -25,7 +25,7 @@ from onebend.learning.frames import (
     whitening,
 )
 from onebend.learning.optimizer import FitSettings
-from onebend.learning.parameters import Layout, Priors, Spline, make_layout
+from onebend.learning.parameters import Layout, Spline, make_layout
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.prediction import predict
 from onebend.learning.start import start_of
@@ -174,7 +174,7 @@ def test_derivatives_are_those_of_differences(at: str) -> None:
         xy = np.stack([np.broadcast_to(places, (4, 5)), xy[..., 1]], axis=-1)
     recordings = [made(xy, readings=readings, rest="unknown", rest_change_sd=0.1, name=name) for name in "ab"]
     spline = Spline(6)
-    layout = make_layout(spline, recordings, [0, 0], Priors())
+    layout = make_layout(spline, recordings, [0, 0])
     data = fit_data(recordings[1], 1, EVERY, spline)
     x = 0.02 * np.random.default_rng(0).normal(size=layout.size)
     for name in ("along", "across", "origin"):

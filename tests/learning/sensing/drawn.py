@@ -13,7 +13,7 @@ from onebend.beam.loads import Loads, push
 from onebend.beam.model import Beam, Shape
 from onebend.beam.problem import make_problem
 from onebend.beam.stiffness import UncertainStiffness
-from onebend.learning.parameters import Priors, clamp_sd
+from onebend.learning.parameters import clamp_sd
 from onebend.records import Array, Observations
 from tests.learning.bench import MARKERS, observed
 
@@ -65,7 +65,7 @@ def drawn_shapes(
     o = observed(BEAM, np.zeros((count, 2)), at_s=at_s, noise=noise)
     o = replace(o, stated=replace(o.stated, placement_sd=PLACEMENT_SD, turn_sd=TURN_SD, place_sd=PLACE_SD))
     o = replace(o, time=np.arange(count) / fps)
-    clamp = clamp_sd(o, Priors()) * float(rng.standard_normal())
+    clamp = clamp_sd(o) * float(rng.standard_normal())
     true = Beam(length, BAND.draw(1, seed=seed)[0], clamp_angle=clamp)
     at = MARKERS + PLACEMENT_SD * rng.standard_normal(3) / length
     across, turn = PLACEMENT_SD * rng.standard_normal((3, 1)), TURN_SD * rng.standard_normal(3)

@@ -14,7 +14,7 @@ from rich.console import Console
 from onebend.beam.loads import push, twist
 from onebend.cli.screens import show_sensed
 from onebend.errors import LearningError
-from onebend.learning.sensing.model import Bench, problem_of, shared_prior, solve, tags_of
+from onebend.learning.sensing.model import bench_at
 from onebend.learning.sensing.sense import SenseSettings, sense
 from onebend.records import Array, Observations
 from onebend.report.control_figures import sensing
@@ -52,24 +52,25 @@ def test_noise_free_shapes_give_force_and_moment_back() -> None:
 def test_derivatives_with_a_load_and_its_place_are_those_of_differences() -> None:
     o = observed(SOFT, np.zeros((2, 2)), noise=(3e-5, 1e-3))
     place, load = np.array([0.7, 0.7]), np.array([[0.1, 0.2, 0.003], [-0.1, 0.1, -0.002]])
-    prior = shared_prior(o, BAND, None, tags_as_learned=True, place_sd=5e-4)
-    bench, frames = Bench(BEAM, BAND, prior, o, prior.mean, prior.root), np.arange(2)
-    problem = problem_of(bench, frames, place)
+    bench = bench_at(BEAM, o, BAND, None, tags_as_learned=True, place_sd=5e-4)
+    bench, frames = replace(bench, root=np.eye(len(bench.mean))), np.arange(2)
 
     def poses(load: Array, mean: Array) -> Array:
         now = replace(bench, mean=mean)
-        return tags_of(now, frames, solve(now, problem_of(now, frames, place), load, place, None), load, place).pose
+        return now.predicted(now.at(frames, place), load, None).pose
 
-    tags = tags_of(bench, frames, solve(bench, problem, load, place, None), load, place)
+    now = bench.predicted(bench.at(frames, place), load, None)
+    own, shared = now.by_own(place=True), bench.by_shared(now)
     for i in range(load.shape[1]):
         step = np.zeros(load.shape[1])
         step[i] = 1e-5
         slope = (poses(load + step, bench.mean) - poses(load - step, bench.mean)) / 2e-5
-        np.testing.assert_allclose(tags.by_load[..., i], slope, atol=2e-6)
-    for i in (bench.parts["place"].start, bench.parts["clamp"].start):
+        np.testing.assert_allclose(own[..., i], slope, atol=2e-6)
+    np.testing.assert_allclose(own[..., -1], shared[..., bench.columns["place"].start], atol=1e-9)
+    for i in range(len(bench.mean)):
         step = np.zeros(len(bench.mean))
         step[i] = 1e-6
-        if i == bench.parts["clamp"].start:
+        if i == bench.columns["clamp"].start:
             away = [load.copy(), load.copy()]
             for sign, one in zip((1.0, -1.0), away, strict=True):
                 cos, sin = np.cos(sign * 1e-6), np.sin(sign * 1e-6)
@@ -77,7 +78,7 @@ def test_derivatives_with_a_load_and_its_place_are_those_of_differences() -> Non
             slope = (poses(away[0], bench.mean + step) - poses(away[1], bench.mean - step)) / 2e-6
         else:
             slope = (poses(load, bench.mean + step) - poses(load, bench.mean - step)) / 2e-6
-        np.testing.assert_allclose(tags.by_shared[..., i], slope, atol=2e-5)
+        np.testing.assert_allclose(shared[..., i], slope, atol=2e-5)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -9,7 +11,7 @@ from scipy.stats import chi2
 from onebend.beam.loads import push
 from onebend.learning.frames import whitening
 from onebend.learning.sensing.forces import PLACE_PRIOR, Estimates, estimate, first, together
-from onebend.learning.sensing.model import Bench, problem_of, solve, tags_of
+from onebend.learning.sensing.model import Bench
 from onebend.learning.sensing.sense import SenseSettings, bench_of, priors_of, sense
 from onebend.records import Array, IntArray
 from tests.learning.sensing.drawn import BAND, BEAM, contacts, drawn
@@ -18,14 +20,13 @@ from tests.learning.sensing.drawn import BAND, BEAM, contacts, drawn
 def log_evidence(bench: Bench, shown: Bench, frame: IntArray, found: Estimates, sd: Array) -> float:
     """Of one frame but for a constant (Laplace), from what its tags say to first order about the best fit."""
     o = bench.observations
-    solved = solve(shown, problem_of(shown, frame, found.place), found.force, found.place, None)
-    tags = tags_of(shown, frame, solved, found.force, found.place)
+    now = shown.predicted(shown.at(frame, found.place), found.force, None)
     seen = np.concatenate([o.xy, o.angle[..., None]], axis=-1)[frame]
     white = whitening(seen, o.covariance[frame])
-    by_load = (white @ tags.by_load * sd).reshape(-1, len(sd))
-    by_shared = (white @ (tags.by_shared @ bench.root)).reshape(len(by_load), -1)
+    by_load = (white @ now.by_own() * sd).reshape(-1, len(sd))
+    by_shared = (white @ replace(shown, root=bench.root).by_shared(now)).reshape(len(by_load), -1)
     shared = np.linalg.lstsq(bench.root, shown.mean - bench.mean, rcond=None)[0]
-    away = (white @ (seen - tags.pose)[..., None]).ravel() + by_load @ (found.force[0] / sd) + by_shared @ shared
+    away = (white @ (seen - now.pose)[..., None]).ravel() + by_load @ (found.force[0] / sd) + by_shared @ shared
     whole = np.eye(len(away)) + by_load @ by_load.T + by_shared @ by_shared.T
     return float(-0.5 * (away @ np.linalg.solve(whole, away) + np.linalg.slogdet(whole)[1]))
 

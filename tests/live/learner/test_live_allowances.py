@@ -21,7 +21,7 @@ from onebend.learning.allowances import (
     reached_part,
 )
 from onebend.learning.fit_data import fit_data
-from onebend.learning.parameters import Priors, Spline, make_layout
+from onebend.learning.parameters import Spline, make_layout
 from onebend.learning.posterior import fit
 from onebend.learning.prediction import predict
 from onebend.live.hyperparameters import OnlineSettings
@@ -103,7 +103,7 @@ def soft_and_relaxing(count: int, noise: tuple[float, float]) -> tuple[Observati
     """A push of a beam that stretches, shears and relaxes, by the fit's model, and its log k at `S`."""
     made, frames = observed(SOFT, forces(count), noise=noise, seed=3), np.ones(count, dtype=bool)
     one = fit_data(made, 0, frames, SPLINE, frozenset({"section", "relaxation"}))
-    layout = make_layout(SPLINE, [made], [len(one.error.knots)], Priors(), [one.allowances])
+    layout = make_layout(SPLINE, [made], [len(one.error.knots)], [one.allowances])
     x, s = np.zeros(layout.size), np.linspace(0.0, 1.0, 200)
     log_k = np.linalg.lstsq(SPLINE.basis(s), np.log(SOFT.stiffness(s)), rcond=None)[0]
     x[layout.index["stiffness", -1].where] = log_k

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from onebend.learning.fit_data import at_rest
-from onebend.learning.parameters import Block, Priors, Spline, clamp_sd, make_layout
+from onebend.learning.optimizer import first_problem
+from onebend.learning.parameters import Block, Spline, clamp_sd, make_layout
 from onebend.learning.posterior import Nuisance, Posterior, fit
 from onebend.learning.verdict import fit_notices
 from onebend.live.model import session_of
@@ -43,8 +44,8 @@ def stated(name: str, sd: float) -> Observations:
     return with_stated(made(), **{f"{name}_sd": sd})
 
 
-def block(one: Observations, name: str, priors: Priors = Priors()) -> Block:
-    return make_layout(SPLINE, [one], [0], priors).index[name, -1 if name == "curvature" else 0]
+def block(one: Observations, name: str) -> Block:
+    return make_layout(SPLINE, [one], [0]).index[name, -1 if name == "curvature" else 0]
 
 
 @cache
@@ -92,15 +93,14 @@ def test_a_wider_prior_is_reported_and_leaves_more_open(name: str, narrow: float
 
 
 def test_what_is_asked_of_the_fit_wins_over_the_recording() -> None:
-    for name, field in (("clamp", "clamp"), ("curvature", "curvature"), ("scale", "scale")):
-        for written in (0.0, 0.3):
-            one = stated(name, written)
-            asked = block(one, name, Priors(**{field: 0.02})).prior_sd[0]
-            assert asked == (np.hypot(0.02, MOUNTING_SD) if name == "clamp" else 0.02)
-            assert block(one, name, Priors(**{field: 0.0})).start < 0
+    for written in (0.0, 0.3):
+        for asked, sd in ((0.02, np.hypot(0.02, MOUNTING_SD)), (0.0, 0.0)):
+            settings = replace(IDEAL, functions=8, clamp_sd=asked)
+            problem, _ = first_problem([stated("clamp", written)], 0.02, settings)
+            assert problem.layout.index["clamp", 0].prior_sd[0] == sd
     pose = with_stated(replace(made(), static=True), clamp_sd=0.01)
-    assert clamp_sd(pose, Priors()) == 0.01
-    assert clamp_sd(pose, Priors(clamp=0.2)) == 0.2
+    assert clamp_sd(pose) == 0.01
+    assert clamp_sd(with_stated(pose, clamp_sd=0.2)) == 0.2
 
 
 def test_a_calibrated_camera_may_still_be_doubted() -> None:
@@ -113,14 +113,14 @@ def test_a_curvature_of_none_is_a_straight_beam() -> None:
     bent = with_stated(replace(made(), rest_xy=made().rest_xy + np.array([0.0, 2e-3])), curvature_sd=0.0)
     straight = with_stated(bent, rest="straight")
     assert np.all(at_rest(bent).theta0 == 0.0)
-    assert np.all(at_rest(bent, Priors(curvature=0.1)).theta0 != 0.0)
+    assert np.all(at_rest(with_stated(bent, curvature_sd=0.1)).theta0 != 0.0)
     np.testing.assert_array_equal(at_rest(bent).offset, at_rest(straight).offset)
-    assert clamp_sd(bent, Priors()) == clamp_sd(straight, Priors())
+    assert clamp_sd(bent) == clamp_sd(straight)
 
 
 def test_of_two_recordings_of_a_beam_the_one_that_may_be_curved_counts() -> None:
     pair = [with_stated(made(), rest="straight"), stated("curvature", 0.4)]
-    assert make_layout(SPLINE, pair, [0, 0], Priors()).index["curvature", -1].prior_sd[0] == 0.4
+    assert make_layout(SPLINE, pair, [0, 0]).index["curvature", -1].prior_sd[0] == 0.4
 
 
 def test_a_stated_clamp_wider_than_usual_is_warned_of() -> None:
@@ -134,7 +134,7 @@ def test_the_live_learner_has_what_is_stated() -> None:
     for name in NAMES:
         held, free = (settings_for(stated(name, sd)) for sd in (0.0, 0.3))
         for settings, wide in ((held, False), (free, True)):
-            at = session_of(SPLINE, MARKERS, settings.priors, length=0.15, mass=0.0).layout
+            at = session_of(SPLINE, MARKERS, settings.sds, length=0.15, mass=0.0).layout
             one = at.index[name, -1 if name == "curvature" else 0]
             assert (one.start >= 0) == wide
             assert one.prior_sd[0] == block(stated(name, 0.3 if wide else 0.0), name).prior_sd[0]

@@ -14,7 +14,7 @@ from onebend.learning.allowances import LIVE_ALLOWANCES, MaterialMemory
 from onebend.learning.force_error import spanned_error
 from onebend.learning.hyperparameters import SPREAD
 from onebend.learning.linear import Hyperparameters, RecordingNoise
-from onebend.learning.parameters import Layout, Priors, Spline, clamp_sd
+from onebend.learning.parameters import Layout, Spline, clamp_sd
 from onebend.learning.prediction import Prediction, predict
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.key_frames import (
@@ -43,8 +43,8 @@ from tests.live.streamed_recording import PLAIN, tags_of
 def test_every_derivative_matches_differences(shares: tuple[float, float, float]) -> None:
     """With every allowance that the learner has. What the beam remembers stays as at the start: of a beam that relaxes
     the curvature at rest, by which it remembers, has no exact derivative."""
-    priors = Priors(clock=0.02, scale=SCALE_SD)
-    session = session_of(Spline(7), MARKERS, priors, length=0.15, mass=0.02, allowances=LIVE_ALLOWANCES)
+    sds = {"clock": 0.02, "scale": SCALE_SD}
+    session = session_of(Spline(7), MARKERS, sds, length=0.15, mass=0.02, allowances=LIVE_ALLOWANCES)
     layout, rng = session.layout, np.random.default_rng(0)
     nodes, relaxing = pushed_at(session, 0.8).problem.grid.nodes, layout.index["relaxation", -1].where
     before = np.cos(nodes[:, None] * np.array([1.0, 2.0, 3.0])) * np.array([[[0.7]], [[-0.4]]])
@@ -120,7 +120,7 @@ def textbook(made: Observations, settings: OnlineSettings, at_rest: Array, v: Ar
     seen = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
     tags = np.einsum("tmab,tmb->tma", np.linalg.inv(np.linalg.cholesky(o.covariance)), seen - pose).ravel()
     log = ((o.force - error)[at_rest] / (0.05 * noise)).ravel()
-    last = [clamp_sd(o, settings.priors), 5e-4, 5e-4, o.stated.place_sd, DIRECTION_SD]
+    last = [clamp_sd(o), 5e-4, 5e-4, o.stated.place_sd, DIRECTION_SD]
     sd = np.concatenate([np.full(6, 5e-4), np.full(3, TURN_SD), last])
     return np.concatenate([tags, log, smoothness @ (v[:p] - np.log(0.03)), v[p : p + 14] / sd, (half @ error).ravel()])
 
@@ -177,8 +177,8 @@ def solved(session: LiveSession, keys: KeyFrames, marginalised: Marginalised, pr
 
 def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_nothing() -> None:
     """Against generalised least squares with the force errors integrated out, to 1e-8."""
-    priors = Priors(placement=0.1, origin=0.1, curvature=0.0)
-    session = session_of(Spline(6), np.array([0.5, 1.0]), priors, length=0.15, mass=0.0)
+    sds = {"along": 0.1, "across": 0.1, "origin": 0.1, "curvature": 0.0}
+    session = session_of(Spline(6), np.array([0.5, 1.0]), sds, length=0.15, mass=0.0)
     layout, never = session.layout, nothing_marginalised(session.layout.size)
     keys, n = linear_frames(1, layout, 7), layout.size
     process = ForceNoise(level=0.05, walk=0.02, coloured=0.03, tau=0.3, white=0.02, load=0.0)

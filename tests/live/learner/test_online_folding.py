@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from onebend.learning.allowances import LIVE_ALLOWANCES
-from onebend.learning.parameters import Priors
 from onebend.live.learner import OnlineLearner
 from tests.learning.bench import MARKERS, SOFT
 from tests.live.streamed_recording import IDEAL_LIVE, S, learned, many_pushes, shown
@@ -39,9 +38,8 @@ def test_memory_does_not_grow_and_the_past_is_kept() -> None:
 def test_what_is_folded_is_as_if_it_were_kept(keys: int, start: float, allowances: frozenset[str]) -> None:
     """Exact data, sizes that stay: against a learner with room for every frame. A poor start does not stay in it."""
     made = many_pushes(12, 15, (0.0, 0.0), 0.0)
-    settings = replace(
-        IDEAL_LIVE, functions=10, adapt=False, priors=Priors(place=made.stated.place_sd), allowances=allowances
-    )
+    sds = {"place": made.stated.place_sd}
+    settings = replace(IDEAL_LIVE, functions=10, adapt=False, sds=sds, allowances=allowances)
     whole = learned(made, 0.03, replace(settings, key_frames=300)).stiffness.log_at(S)
     folded = learned(made, start, replace(settings, key_frames=keys))
     mean, sd = folded.stiffness.log_at(S)

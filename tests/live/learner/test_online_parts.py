@@ -9,7 +9,7 @@ import pytest
 
 from onebend.learning.normal import Draws, InformationForm, drawn_chains, target_of
 from onebend.learning.parameters import Spline
-from onebend.live import learner as smoother
+from onebend.live import smoother
 from onebend.live.hyperparameters import OnlineSettings, StiffnessChains
 from onebend.live.key_frames import LoadStages
 from onebend.live.learner import OnlineLearner

@@ -17,9 +17,9 @@ from onebend.recording.bag_topics import bag_contents
 from onebend.recording.camera import measure_markers
 from onebend.recording.entries import VideoEntry
 from onebend.recording.folder import read_recording
+from onebend.recording.force import read_log
 from onebend.recording.force_log import likely_forces, read_force_log
 from onebend.recording.observe import ObserveSettings, observe
-from onebend.recording.pairing import read_log
 from onebend.recording.tags import detect_tags
 from onebend.records import Observations
 from onebend.report.overview import overview

@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.recording.clock import ClockSettings, averaged, fit_clock
-from onebend.recording.clock_likelihood import levers
-from onebend.recording.force_noise import TimeSpans, covariance, fit_noise, linear_model, log_evidence, noise_factor
+from onebend.recording.clock import fit_clock
+from onebend.recording.clock_evidence import fit_noise, linear_model, log_evidence, noise_factor
+from onebend.recording.clock_features import ClockSettings, GaplessMarkers, averaged, levers
+from onebend.recording.force_noise import TimeSpans, covariance
+from onebend.recording.signals import from_clamp
 from onebend.records import ForceNoise
 from tests.recording.pushed import Pushed, force_at, table
 
@@ -205,7 +207,8 @@ def test_filtered_share_of_the_coloured_noise() -> None:
 
 def test_levers_hold_the_true_force() -> None:
     part, xy, angle = table()
-    features = levers(xy, angle, np.array([1 / 3, 2 / 3, 1.0]), 1.0)
+    places, seen = from_clamp(np.array([1 / 3, 2 / 3, 1.0]), xy, angle), np.ones(len(xy), dtype=bool)
+    features = levers(GaplessMarkers(np.arange(len(xy)) / 30.0, *places, seen, 0.0, 0.0), 1.0)
     force = force_at(part)
     flat = features.reshape(-1, features.shape[-1])
     told = flat @ np.linalg.lstsq(flat, force.reshape(-1), rcond=None)[0]

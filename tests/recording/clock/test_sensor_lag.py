@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.recording.clock import ClockSettings, SensorLag, fit_clock, slow_sensor, without_lag
+from onebend.recording.clock import fit_clock
+from onebend.recording.clock_evidence import SensorLag
+from onebend.recording.force import without_lag
 from onebend.recording.signals import low_pass, step
 from onebend.records import ForceLog
 from tests.recording.pushed import Pushed
 
 PUSHED = Pushed()
-SETTINGS = ClockSettings()
 
 
 def behind(log: ForceLog, tau: float) -> ForceLog:
@@ -26,8 +27,7 @@ def behind(log: ForceLog, tau: float) -> ForceLog:
 
 
 def found(log: ForceLog, push_s: float | None = 1.0) -> SensorLag | None:
-    clock = fit_clock(PUSHED.markers(), log, 249.4, 2.0, push_s=push_s, settings=SETTINGS).clock
-    return slow_sensor(PUSHED.markers(), log, clock, push_s=push_s, settings=SETTINGS)
+    return fit_clock(PUSHED.markers(), log, 249.4, 2.0, push_s=push_s).lag
 
 
 @pytest.mark.parametrize("push_s", [1.0, pytest.param(None, marks=pytest.mark.slow)])

@@ -145,7 +145,7 @@ def test_gaps_stay_gaps() -> None:
     kept = ~((since > 3.0) & (since < 4.0))
     torn = ForceLog(log.time[kept], log.force[kept])
     clean = clean_force(torn, [(-np.inf, pushed.offset + 1.4)], cutoff=2.5)
-    found = force_at(clean, pushed.offset + np.array([-5.0, 2.9, 3.1, 3.5, 3.9, 4.1, 50.0]))
+    found, _ = force_at(clean, pushed.offset + np.array([-5.0, 2.9, 3.1, 3.5, 3.9, 4.1, 50.0]))
     assert np.array_equal(np.isnan(found[:, 0]), [True, False, True, True, True, False, True])
 
 

@@ -18,7 +18,7 @@ from onebend.errors import LearningError, ObservationError, RecordingError
 from onebend.learning.fit_data import fit_data
 from onebend.learning.frames import loads_of
 from onebend.learning.optimizer import FitSettings
-from onebend.learning.parameters import Priors, Spline, make_layout
+from onebend.learning.parameters import Spline, make_layout
 from onebend.learning.posterior import fit
 from onebend.learning.prediction import predict
 from onebend.learning.start import start_of, with_mass
@@ -211,7 +211,7 @@ def test_moving_a_push_from_frame_to_frame_keeps_the_derivatives(tmp_path: Path)
     o = seen(tmp_path, loads=table, shown=hanging()[:3])
     spline = Spline(6)
     one = fit_data(o, 0, np.ones(3, dtype=bool), spline)
-    at = make_layout(spline, [o], [0], Priors())
+    at = make_layout(spline, [o], [0])
     x = 0.01 * np.random.default_rng(0).normal(size=at.size)
     x[:6] += np.log(0.2)
     now = predict(one, at, x, None)

@@ -1,42 +1,32 @@
 """The force of each frame: maximum a posteriori by Gauss-Newton, many frames at once.
 
-Residuals r of a frame, whitened by the tags' noise and by what frames share (`model.py`), and their derivatives J with
-its own unknowns u, in units of their priors' sds, give damped steps `(1 + d) (J^T J + I) du = J^T r - u`. The
-covariance is `(J^T J + I)^-1`. What frames share counts as at the start of a search; a second search begins where the
-first ended.
+Residuals of a frame are whitened by the tags' noise and by what frames share (`model.py`), which counts as at the start
+of a search; a second search begins where the first ended.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.stats import chi2
 
 from onebend.beam.grid import apply
-from onebend.beam.statics import Equilibrium
-from onebend.learning.frames import moved_by, whitening
+from onebend.gauss_newton import DampedSteps, MostProbable, Outlook, most_probable
+from onebend.learning.fit_data import FitData
+from onebend.learning.frames import moved_by, whitened
+from onebend.learning.prediction import Prediction
 from onebend.learning.sensing import model
-from onebend.learning.sensing.model import AT_REST, INNERMOST, Bench, Tags
+from onebend.learning.sensing.model import AT_REST, INNERMOST, Bench
 from onebend.records import Array, BoolArray, IntArray
 
 CHUNK = 250  # frames solved together
-_STEPS = 40
 _STRIDE = 1.5  # of k/L: no longer step of the force at once
 _FAR = 3.0  # times what is usual
-_LAST = 3e-3  # posterior sds: after a step this small a further one is not worth its cost: it is its square
-_SEARCHES = 2
+_LASTS = (0.1, 3e-3)  # posterior sds, of the last step of each search; what is left is its square
 _HALVINGS = 6  # of a first force under which the beam does not stand
-_MOST_DAMPING = 1e8  # damping: no step is left that lowers anything
 PLACE_PRIOR = (0.5, 0.29)  # mean and sd of a place of which nothing is known: those of an even spread over the beam
-
-
-def with_place(prior_sd: Array, seek_place: bool) -> tuple[Array, Array]:
-    """(d,) sds and means of a frame's unknowns, of a load with `prior_sd` (n,) and, where it is sought, its place."""
-    mean = np.zeros(len(prior_sd))
-    if not seek_place:
-        return prior_sd, mean
-    return np.append(prior_sd, PLACE_PRIOR[1]), np.append(mean, PLACE_PRIOR[0])
 
 
 @dataclass(frozen=True)
@@ -59,65 +49,108 @@ class Estimates:
         return Estimates(*(np.concatenate(pair) for pair in pairs))
 
 
-@dataclass
-class _SearchState:
-    """Where the search of F frames stands."""
-
-    unknown: Array  # (F, d)
-    q: Array  # (F, Q)
-    stands: BoolArray  # (F,) an equilibrium was found
-    pose: Array  # (F, m, 3)
-    root: Array  # (F, 3 m, 3 m): applied to residuals over the tags' noise
-    residual: Array  # (F, 3 m) in units of all noise
-    slopes: Array  # (F, 3 m, d) of the same with the unknowns over their priors' sd
-    shared: Array  # (F, 3 m, r) of the same with what the frames share; none while a search goes on
-
-    def put(self, rows: IntArray, other: _SearchState) -> None:
-        """These rows as in `other`."""
-        for name, values in vars(self).items():
-            if name != "shared":
-                values[rows] = getattr(other, name)
-
-
 class FrameModel:
     """Some frames and their unknowns: the load of each and, where it is sought, its place."""
 
     def __init__(self, bench: Bench, frames: IntArray, place: Array, prior_sd: Array, seek_place: bool) -> None:
-        o = bench.observations
         self.bench, self.frames, self.place, self.seek_place = bench, frames, place, seek_place
-        self.seen = np.concatenate([o.xy[frames], o.angle[frames][..., None]], axis=-1)
-        self.whiten = whitening(self.seen, o.covariance[frames])
-        self.sd, self.mean = with_place(prior_sd, seek_place)
+        self.prior_sd = prior_sd
+        self.sd = np.append(prior_sd, PLACE_PRIOR[1]) if seek_place else prior_sd
+        self.mean = np.append(0.0 * prior_sd, PLACE_PRIOR[0]) if seek_place else 0.0 * prior_sd
         self.load = len(prior_sd)
 
-    def flat(self, of_tags: Array, rows: IntArray | slice = slice(None)) -> Array:
-        """(F, 3 m, n) of (F, m, 3, n), over the tags' noise."""
-        return np.asarray((self.whiten[rows] @ of_tags).reshape(len(of_tags), -1, of_tags.shape[-1]))
+    def moved(self, shared: Array) -> FrameModel:
+        """With what the frames share (r,) sds away from its mean."""
+        bench = replace(self.bench, mean=self.bench.mean + self.bench.root @ shared)
+        return FrameModel(bench, self.frames, self.place, self.prior_sd, self.seek_place)
 
-    def away(self, pose: Array, rows: IntArray | slice = slice(None)) -> Array:
-        """(F, 3 m) of the tags from poses (F, m, 3), over their noise."""
-        return self.flat(np.nan_to_num(self.seen[rows] - pose)[..., None], rows)[..., 0]
+    def at(self, rows: IntArray, own: Array, near: Array | None = None) -> Prediction:
+        """Of `rows` of the frames with unknowns `own` (F, d), from shapes `near` (F, Q)."""
+        if self.seek_place or len(rows) < len(self.frames):
+            data = self.bench.at(self.frames[rows], self.placed(own, rows), apart=self.seek_place)
+        else:
+            data = self.every
+        return self.bench.predicted(data, own[:, : self.load], near)
 
-    def own_slopes(self, tags: Tags, rows: IntArray | slice = slice(None)) -> Array:
-        """(F, 3 m, d) of the tags with the frames' own unknowns over their priors' sds, over the tags' noise."""
-        own = tags.by_load
+    @cached_property
+    def every(self) -> FitData:
+        """Of all frames at their places."""
+        return self.bench.at(self.frames, self.place)
+
+    def look(self, rows: IntArray, own: Array, near: Array | None, root: Array | None = None) -> Outlook:
+        """The same for the search, over the tags' noise; or over all noise, with its `root` (F, 3 m, 3 m)."""
+        return self.outlook(self.at(rows, own, near), None if root is None else root[rows])
+
+    def outlook(self, now: Prediction, root: Array | None) -> Outlook:
+        stands, whiten = now.solved.converged, now.data.whiten
+        slopes = now.by_own(place=self.seek_place)
         if self.seek_place:
-            own = np.concatenate([own, self.bench.observations.length * tags.by_place], axis=-1)
-        return self.flat(own * self.sd, rows)
+            slopes[..., -1] *= self.bench.observations.length
+        both = np.concatenate([slopes, np.nan_to_num(now.data.measured - now.pose)[..., None]], axis=-1)
+        both = np.where(stands[:, None, None], np.nan_to_num(whitened(whiten, both)), 0.0)
+        both = both if root is None else root @ both
+        return Outlook(both[..., -1], both[..., :-1], stands, now.solved.q)
 
-    def inside(self, unknown: Array) -> Array:
+    def shared(self, now: Prediction) -> Array:
+        """(F, 3 m, r) of the tags, over their noise, per sd of each error that the frames share."""
+        out = whitened(now.data.whiten, self.bench.by_shared(now))
+        return np.where(now.solved.converged[:, None, None], np.nan_to_num(out), 0.0)
+
+    def inside(self, own: Array) -> Array:
         """The unknowns (F, d), with places on the beam."""
-        if not self.seek_place:
-            return unknown
-        return np.column_stack([unknown[:, :-1], np.clip(unknown[:, -1], INNERMOST, 1.0)])
+        return np.column_stack([own[:, :-1], np.clip(own[:, -1], INNERMOST, 1.0)]) if self.seek_place else own
 
-    def placed(self, unknown: Array, rows: IntArray | slice = slice(None)) -> Array:
+    def placed(self, own: Array, rows: IntArray | slice = slice(None)) -> Array:
         """(F,) places of the loads."""
-        return unknown[:, -1] if self.seek_place else self.place[rows]
+        return own[:, -1] if self.seek_place else self.place[rows]
 
-    def costs(self, residual: Array, unknown: Array) -> Array:
-        """(F,) squared residuals (F, R), and the prior's part."""
-        return np.asarray(np.sum(residual**2, axis=1) + np.sum(((unknown - self.mean) / self.sd) ** 2, axis=1))
+    def searched(
+        self, own: Array, near: Array | None = None, lasts: tuple[float, ...] = _LASTS, steps: int = 40
+    ) -> tuple[Estimates, Array]:
+        """The most probable unknowns, from `own` (F, d) and shapes `near` (F, Q) on, and shapes there."""
+        rows = np.arange(len(own))
+        now, own = self.at(rows, own, near), own.copy()
+        for _ in range(_HALVINGS):
+            if now.solved.converged.all():
+                break
+            own[~now.solved.converged, : self.load] *= 0.5
+            now = self.at(rows, own)
+        stiff = _STRIDE * float(np.mean(now.solved.problem.k))
+        longest = np.full(len(self.sd), stiff / self.bench.observations.length)
+        longest[2 : self.load] = stiff
+        if self.seek_place:
+            longest[-1] = np.inf
+        for last in lasts:
+            root, _ = _whitening(self.shared(now))
+            look, begin = partial(self.look, root=root), self.outlook(now, root)
+            search = DampedSteps(steps, last, longest=longest, inside=self.inside)
+            found = most_probable(look, begin, own, self.mean, self.sd, search)
+            stands, own = found.at.stands & np.isfinite(found.objective), found.x
+            now = self.at(rows, own, found.at.near)
+        root, shared = _whitening(self.shared(now))
+        at = self.outlook(now, root)
+        found = MostProbable.of(replace(at, stands=at.stands & stands), own, self.mean, self.sd)
+        return self._estimates(found, shared, now.pose), now.solved.q
+
+    def _estimates(self, found: MostProbable, shared: Array, pose: Array) -> Estimates:
+        root, known = found.root, np.where(found.at.stands[:, None], found.x, np.nan)
+        place = known[:, -1] if self.seek_place else np.where(found.at.stands, self.place, np.nan)
+        return Estimates(
+            force=known[:, : self.load],
+            place=place,
+            covariance=root @ np.swapaxes(root, 1, 2),
+            common=-(found.by_residual(root) @ shared)[:, : self.load],
+            objective=found.objective,
+            chi2=np.sum(found.at.residual**2, axis=1),
+            pose=pose,
+        )
+
+
+def _whitening(shared: Array) -> tuple[Array, Array]:
+    """(F, 3 m, 3 m) that whitens noise of sd one and what the frames share (F, 3 m, r); and that, whitened."""
+    size, ways = np.linalg.eigh(shared @ np.swapaxes(shared, 1, 2))
+    root = (ways / np.sqrt(1.0 + np.maximum(size, 0.0))[:, None]) @ np.swapaxes(ways, 1, 2)
+    return root, root @ shared
 
 
 def estimate(
@@ -155,111 +188,12 @@ def estimate(
 def _searched(
     bench: Bench, frames: IntArray, place: Array, prior_sd: Array, seek_place: bool, force: Array
 ) -> Estimates:
+    own = np.column_stack([force, place]) if seek_place else force
     parts = [
-        _Search(bench, frames[i : i + CHUNK], place[i : i + CHUNK], prior_sd, seek_place).run(force[i : i + CHUNK])
-        for i in range(0, len(frames), CHUNK)
+        FrameModel(bench, frames[chunk], place[chunk], prior_sd, seek_place).searched(own[chunk])[0]
+        for chunk in (slice(i, i + CHUNK) for i in range(0, len(frames), CHUNK))
     ]
     return Estimates(*(np.concatenate(each) for each in zip(*(vars(one).values() for one in parts), strict=True)))
-
-
-class _Search(FrameModel):
-    """Gauss-Newton for one chunk of frames."""
-
-    def __init__(self, bench: Bench, frames: IntArray, place: Array, prior_sd: Array, seek_place: bool) -> None:
-        super().__init__(bench, frames, place, prior_sd, seek_place)
-        self.problem = model.problem_of(bench, frames, place)
-        stiff = _STRIDE * float(np.mean(self.problem.k))
-        self.longest = np.full(len(self.sd), stiff / bench.observations.length)
-        self.longest[2 : self.load] = stiff
-        if seek_place:
-            self.longest[-1] = np.inf
-
-    def run(self, force: Array) -> Estimates:
-        """From `force` (F, 2)."""
-        unknown = np.column_stack([force, self.place]) if self.seek_place else force.copy()
-        rows = np.arange(len(unknown))
-        solved = self._solved(rows, unknown, None)
-        for _ in range(_HALVINGS):
-            if solved.converged.all():
-                break
-            unknown[~solved.converged, : self.load] *= 0.5
-            solved = self._solved(rows, unknown, None)
-        state = self._state(rows, unknown, solved, None)
-        for _ in range(_SEARCHES - 1):
-            self._search(state)
-            state = self._state(rows, state.unknown, self._at(rows, state), None)
-        self._search(state)
-        return self._estimates(self._state(rows, state.unknown, self._at(rows, state), None))
-
-    def _search(self, state: _SearchState) -> None:
-        rows, damping = np.flatnonzero(state.stands), np.full(len(state.q), 1e-6)
-        for _ in range(_STEPS):
-            if not rows.size:
-                break
-            step, size = self._step(state, rows, damping[rows])
-            trial = self.inside(state.unknown[rows] + step)
-            there = self._solved(rows, trial, state.q[rows])
-            pose = model.poses_of(self.bench, self.frames[rows], there)[0]
-            away = apply(state.root[rows], self.away(pose, rows))
-            lower = self.costs(away, trial) < self.costs(state.residual[rows], state.unknown[rows])
-            better = np.flatnonzero(there.converged & lower)
-            if better.size:
-                there = there.take(better)
-                state.put(rows[better], self._state(rows[better], trial[better], there, state.root[rows[better]]))
-            won = np.isin(np.arange(len(rows)), better)
-            damping[rows] = np.where(won, np.maximum(damping[rows] / 30.0, 1e-12), 10.0 * damping[rows])
-            done = (size < _LAST) | (damping[rows] > _MOST_DAMPING)
-            rows = rows[~done]
-
-    def _at(self, rows: IntArray, state: _SearchState) -> Equilibrium:
-        found = self._solved(rows, state.unknown, state.q)
-        return replace(found, converged=found.converged & state.stands)
-
-    def _estimates(self, state: _SearchState) -> Estimates:
-        _, size, turn = np.linalg.svd(state.slopes, full_matrices=False)
-        root = np.swapaxes(turn, 1, 2) / np.sqrt(1.0 + size[:, None] ** 2)
-        covariance = self.sd[:, None] * (root @ np.swapaxes(root, 1, 2)) * self.sd
-        known = np.where(state.stands[:, None], state.unknown, np.nan)
-        place = known[:, -1] if self.seek_place else np.where(state.stands, self.place, np.nan)
-        objective = np.where(state.stands, self.costs(state.residual, state.unknown), np.inf)
-        chi2 = np.sum(state.residual**2, axis=1)
-        gain = self.sd[:, None] * (root @ np.swapaxes(state.slopes @ root, 1, 2))
-        common = -(gain @ state.shared)[:, : self.load]
-        return Estimates(known[:, : self.load], place, covariance, common, objective, chi2, state.pose)
-
-    def _solved(self, rows: IntArray, unknown: Array, start: Array | None) -> Equilibrium:
-        """The beam in frames `rows` of the chunk."""
-        place, problem = self.placed(unknown, rows), self.problem
-        problem = model.problem_apart(self.bench, self.frames[rows], place) if self.seek_place else problem.take(rows)
-        return model.solve(self.bench, problem, unknown[:, : self.load], place, start)
-
-    def _state(self, rows: IntArray, unknown: Array, solved: Equilibrium, root: Array | None) -> _SearchState:
-        """Whitened by the tags' noise and what the frames share, as it is here, or by the `root` (F, 3 m, 3 m)."""
-        place = self.placed(unknown, rows)
-        tags = model.tags_of(self.bench, self.frames[rows], solved, unknown[:, : self.load], place, shared=root is None)
-        stands = solved.converged[:, None, None]
-        shared = np.zeros((len(rows), 3 * self.seen.shape[1], 0))
-        if root is None:
-            shared = np.nan_to_num(np.where(stands, self.flat(tags.by_shared @ self.bench.root, rows), 0.0))
-            size, ways = np.linalg.eigh(shared @ np.swapaxes(shared, 1, 2))
-            root = (ways / np.sqrt(1.0 + np.maximum(size, 0.0))[:, None]) @ np.swapaxes(ways, 1, 2)
-        slopes = root @ np.where(stands, self.own_slopes(tags, rows), 0.0)
-        residual = apply(root, self.away(tags.pose, rows))
-        return _SearchState(
-            unknown.copy(), solved.q, solved.converged, tags.pose, root, residual, slopes, root @ shared
-        )
-
-    def _step(self, state: _SearchState, rows: IntArray, damping: Array) -> tuple[Array, Array]:
-        """The step (F, d) of some frames, and its size in posterior sds."""
-        slopes, z = state.slopes[rows], (state.unknown[rows] - self.mean) / self.sd
-        left, size, turn = np.linalg.svd(slopes, full_matrices=False)
-        right = size * np.einsum("frd,fr->fd", left, state.residual[rows]) - np.einsum("fed,fd->fe", turn, z)
-        step = right / ((1.0 + size**2) * (1.0 + damping[:, None]))
-        size = np.sqrt(np.sum((1.0 + size**2) * step**2, axis=1))
-        step = np.einsum("fed,fe->fd", turn, step)
-        step = step * self.sd
-        longest = np.maximum(np.max(np.abs(step / self.longest), axis=1), 1.0)
-        return step / longest[:, None], np.where(longest > 1.0, np.inf, size)
 
 
 # Information of each frame on its force, to first order: `told = weigh f + common e + n`, with e (normal, of sd one)
@@ -285,18 +219,6 @@ class FrameForces:
         return FrameForces(self.time[rows], self.weigh[rows], self.told[rows], self.common[rows], self.widened)
 
 
-@dataclass(frozen=True)
-class _Linear:
-    """Residuals over the tags' noise and their derivatives; zero where nothing was measured."""
-
-    residual: Array  # (F, 3 m)
-    by_force: Array  # (F, 3 m, 2) 1/N
-    by_other: Array  # (F, 3 m, k) of the frame's other unknowns, over their priors' sds
-    other: Array  # (F, k) less their priors' means, over their sds
-    by_shared: Array  # (F, 3 m, r)
-    measured: BoolArray  # (F, 3 m)
-
-
 def read(
     bench: Bench, frames: IntArray, load: Array, place: Array, prior_sd: Array, *, seek_place: bool
 ) -> FrameForces:
@@ -306,63 +228,30 @@ def read(
     Directions with less information than the prior (`prior_sd` (n,)) are left out: to first order they are not known.
     """
     known = np.flatnonzero(np.isfinite(load).all(axis=1))
-    chunks = [known[i : i + CHUNK] for i in range(0, len(known), CHUNK)]
-    parts = [_linear(bench, frames[rows], load[rows], place[rows], prior_sd, seek_place) for rows in chunks]
-    count, ways, time = len(frames), bench.root.shape[1], bench.observations.time[frames]
+    count, ways, time, parts = len(frames), bench.root.shape[1], bench.observations.time[frames], []
     weigh, told, common = np.zeros((count, 2, 2)), np.zeros((count, 2)), np.zeros((count, 2, ways))
+    for rows in (known[i : i + CHUNK] for i in range(0, len(known), CHUNK)):
+        frame = FrameModel(bench, frames[rows], place[rows], prior_sd, seek_place)
+        own = np.column_stack([load[rows], place[rows]]) if seek_place else load[rows]
+        now = frame.at(np.arange(len(rows)), own)
+        at, others = frame.outlook(now, None), own.shape[1] - 2
+        residual = at.residual + apply(at.slopes[..., 2:], (own - frame.mean)[:, 2:])
+        root, _ = _whitening(at.slopes[..., 2:] * frame.sd[2:])  # the prior of the other unknowns is noise
+        measured = np.any(now.data.whiten != 0.0, axis=-1) & at.stands[:, None, None]
+        own_rows = apply(root, residual), root @ at.slopes[..., :2], root @ frame.shared(now)
+        parts.append((*own_rows, measured.reshape(len(rows), -1)))
     if not parts:
         return FrameForces(time, weigh, told, common, 1.0)
-    one = _Linear(*(np.concatenate(each) for each in zip(*(vars(part).values() for part in parts), strict=True)))
-    one = _without_other(one)
-    side, size, _ = np.linalg.svd(one.by_force, full_matrices=False)
+    residual, by_force, by_shared, measured = (np.concatenate(each) for each in zip(*parts, strict=True))
+    side, size, _ = np.linalg.svd(by_force, full_matrices=False)
     across = np.swapaxes(side, 1, 2)
-    left = one.residual - apply(side, apply(across, one.residual))
-    widened = _memory(left, one.measured, 2 + one.other.shape[1])
+    left = residual - apply(side, apply(across, residual))
+    widened = _memory(left, measured, 2 + others)
     side = np.where((prior_sd[0] * size > 1.0)[..., None], across / np.sqrt(widened), 0.0)
-    weigh[known] = side @ one.by_force
-    told[known] = apply(side, one.residual) + apply(weigh[known], load[known, :2])
-    common[known] = side @ one.by_shared
+    weigh[known] = side @ by_force
+    told[known] = apply(side, residual) + apply(weigh[known], load[known, :2])
+    common[known] = side @ by_shared
     return FrameForces(time, weigh, told, common, widened)
-
-
-def _linear(bench: Bench, frames: IntArray, load: Array, place: Array, prior_sd: Array, seek_place: bool) -> _Linear:
-    frame = FrameModel(bench, frames, place, prior_sd, seek_place)
-    solved = model.solve(
-        bench, (model.problem_apart if seek_place else model.problem_of)(bench, frames, place), load, place, None
-    )
-    tags = model.tags_of(bench, frames, solved, load, place)
-    stands = solved.converged[:, None, None]
-    own = np.column_stack([load, place]) if seek_place else load
-    by_own, by_shared = (
-        np.where(stands, each, 0.0) for each in (frame.own_slopes(tags), frame.flat(tags.by_shared @ bench.root))
-    )
-    return _Linear(
-        residual=np.where(stands[..., 0], frame.away(tags.pose), 0.0),
-        by_force=by_own[..., :2] / frame.sd[:2],
-        by_other=by_own[..., 2:],
-        other=((own - frame.mean) / frame.sd)[:, 2:],
-        by_shared=by_shared,
-        measured=(np.any(frame.whiten != 0.0, axis=-1) & stands).reshape(len(frames), -1),
-    )
-
-
-def _without_other(one: _Linear) -> _Linear:
-    """With each frame's other unknowns integrated out: their prior is noise."""
-    if not one.other.shape[1]:
-        return one
-    residual = one.residual + apply(one.by_other, one.other)
-    side, size, _ = np.linalg.svd(one.by_other, full_matrices=False)
-    less = 1.0 - 1.0 / np.sqrt(1.0 + size**2)  # (I + W W^T)^(-1/2) = I - U less U^T
-
-    def without(values: Array) -> Array:
-        return np.asarray(values - side @ (less[..., None] * (np.swapaxes(side, 1, 2) @ values)))
-
-    return replace(
-        one,
-        residual=without(residual[..., None])[..., 0],
-        by_force=without(one.by_force),
-        by_shared=without(one.by_shared),
-    )
 
 
 def _memory(left: Array, measured: BoolArray, unknowns: int) -> float:
@@ -389,16 +278,14 @@ def _memory(left: Array, measured: BoolArray, unknowns: int) -> float:
     return float(max(whole * (1.0 + 2.0 * np.sum(alike[: ends[0] if ends.size else len(alike)])), 1.0))
 
 
-# Some frames together with u, all that they share, in units of their priors' sds. With residuals r over the tags' noise
-# and derivatives B, J each frame's own unknowns are eliminated: `(I + sum B^T P B) du = sum B^T P r - ...`,
-# `P = I - J A^-1 J^T`, `A = J^T J + I`. A frame's own covariance is `A^-1 + G C G^T`, `G = A^-1 J^T B`, C that of u.
+# Some frames together with u, all that they share, in units of their priors' sds: for each u the frames' own unknowns
+# are the most probable ones. With derivatives J of the residuals with a frame's own unknowns (over their priors' sds,
+# whose part stands below) and B with u, the slopes with u are `P B`, `P = I - J (J^T J)^-1 J^T`. A frame's own
+# covariance is `A^-1 + G C G^T`, `A = J^T J`, `G = A^-1 J^T B`, C that of u.
 
-_ROUNDS = 20
-_OWN_STEPS = 3  # of the frames' own unknowns for each of what they share
-_REST_ROUNDS = 4
-_SETTLED = 1e-2  # of the objective that a round must win
-_SLIGHT = 2e-3  # of the objective: a round that wins no more than this is the last
-_MOST_JOINT_DAMPING = 1e4  # damping: no step is left that lowers anything
+_TOGETHER_STEPS = DampedSteps(steps=20, last=0.1, slight=2e-3, damping=1e-3)
+_OWN_STEPS = DampedSteps(steps=3, last=0.1)  # of the frames' own unknowns for each of what they share
+_AT_REST = DampedSteps(last=1e-3)
 
 
 @dataclass(frozen=True)
@@ -420,38 +307,22 @@ class Misfit:
         return float(chi2.sf(self.chi2, self.freedom)) if self.freedom > 0 else float("nan")
 
 
-@dataclass(frozen=True)
-class _At:
-    """Where the search stands."""
-
-    shared: Array  # (r,) u
-    own: Array  # (F, d) N, N, s
-    tags: Tags
-    residual: Array  # (F, 3 m) over the tags' noise
-    objectives: Array  # (F,) squares of each frame
-
-    @property
-    def objective(self) -> float:
-        return float(np.sum(self.objectives) + self.shared @ self.shared)
-
-
 def rested(bench: Bench) -> Bench:
-    """With what the tags at rest say (Gauss-Newton, the beam without a force)."""
-    o, m = bench.observations, len(bench.observations.marker_s)
-    seen = np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=1)
-    if not np.isfinite(seen).any():
+    """With what the tags at rest say."""
+    if not np.isfinite(bench.seen[AT_REST]).any():
         return bench
-    root, mean = bench.root, bench.mean
     none, at = np.zeros((1, 2)), np.ones(1)
-    whiten, inner = whitening(seen, o.rest_covariance), np.eye(root.shape[1])
-    for _ in range(_REST_ROUNDS):
-        now = replace(bench, mean=mean)
-        tags = model.tags_of(now, AT_REST, model.solve(now, model.rest_problem(now), none, at, None), none, at)
-        rows = (whiten @ (tags.by_shared[0] @ root)).reshape(3 * m, -1)
-        away = np.nan_to_num(seen - tags.pose[0]) + tags.by_shared[0] @ (mean - bench.mean)
-        inner = np.linalg.inv(np.eye(root.shape[1]) + rows.T @ rows)
-        mean = bench.mean + root @ (inner @ (rows.T @ (whiten @ away[..., None]).ravel()))
-    return replace(bench, mean=mean, root=root @ np.linalg.cholesky(0.5 * (inner + inner.T)))
+    frame = FrameModel(bench, AT_REST, at, np.ones(2), False)
+
+    def look(rows: IntArray, shared: Array, near: Array | None = None) -> Outlook:
+        there = frame.moved(shared[0])
+        now = there.at(rows, none, near)
+        return replace(there.outlook(now, None), slopes=there.shared(now))
+
+    count = bench.root.shape[1]
+    nothing, one = np.zeros((1, count)), np.zeros(1, dtype=np.int64)
+    found = most_probable(look, look(one, nothing), nothing, nothing[0], np.ones(count), _AT_REST)
+    return replace(frame.moved(found.x[0]).bench, root=bench.root @ found.root[0])
 
 
 def together(
@@ -461,99 +332,77 @@ def together(
     return _Joint(bench, frames, begin.place, prior_sd, seek_place).run(begin)
 
 
+@dataclass(frozen=True)
+class _Common:
+    """Where the search for what frames share stands."""
+
+    shared: Array  # (r,) u
+    own: Array  # (F, d)
+    at: Outlook
+    now: Prediction
+    inner: Array  # (F, d, d) root of A^-1
+    down: Array  # (F, d, r) G
+    objective: float
+
+
 class _Joint(FrameModel):
-    """Gauss-Newton, damped."""
+    """Gauss-Newton for what the frames share, each frame's own unknowns being the most probable ones for it."""
 
     def run(self, begin: Estimates) -> tuple[Bench, Estimates, Misfit]:
         own = np.column_stack([begin.force, begin.place]) if self.seek_place else begin.force
-        now = self._at(np.zeros(self.bench.root.shape[1]), own)
-        damping = 1e-4
-        for _ in range(_ROUNDS):
-            trial = self._at(*self._step(now, damping), now.tags.solved.q)
-            if trial.objective < now.objective:
-                won, now, damping = now.objective - trial.objective, trial, max(damping / 5.0, 1e-9)
-                if won < max(_SETTLED, _SLIGHT * now.objective):
-                    break
-            else:
-                damping *= 5.0
-                if damping > _MOST_JOINT_DAMPING:
-                    break
-        return self._outcome(now)
+        every, count = np.arange(len(own)), self.bench.root.shape[1]
+        best: _Common | None = None
 
-    def _at(self, shared: Array, own: Array, near: Array | None = None) -> _At:
-        bench = self._bench(shared)
-        now = self._there(bench, shared, self.inside(own), near)
-        for _ in range(_OWN_STEPS):
-            slopes, z = self.own_slopes(now.tags), (now.own - self.mean) / self.sd
-            inner = np.swapaxes(slopes, 1, 2) @ slopes + np.eye(len(self.sd))
-            right = np.einsum("frd,fr->fd", slopes, now.residual) - z
-            step = np.linalg.solve(inner, right[..., None])[..., 0]
-            if not np.isfinite(now.objectives).all() or np.max(np.abs(step * right)) < _SETTLED:
-                break
-            trial = self._there(bench, shared, self.inside(now.own + self.sd * step), now.tags.solved.q)
-            better = trial.objectives < now.objectives
-            if not better.any():
-                break
-            own = np.where(better[:, None], trial.own, now.own)
-            now = trial if better.all() else self._there(bench, shared, own, now.tags.solved.q)
-        return now
+        def look(_: IntArray, shared: Array, __: Array) -> Outlook:
+            nonlocal best
+            frame, first, near = self.moved(shared[0]), own, None
+            if best is not None:
+                first = self.inside(best.own - self.sd * apply(best.down, shared[0] - best.shared))
+                near = best.now.solved.q
+            begun = frame.look(every, first, near)
+            found = most_probable(frame.look, begun, first, self.mean, self.sd, replace(_OWN_STEPS, inside=self.inside))
+            now = frame.at(every, found.x, found.at.near)
+            at, by_shared = frame.outlook(now, None), frame.shared(now)
+            side, corner = np.linalg.qr(
+                np.concatenate([at.slopes * self.sd, np.tile(np.eye(len(self.sd)), (len(own), 1, 1))], axis=1)
+            )
+            rows = np.pad(by_shared, ((0, 0), (0, len(self.sd)), (0, 0)))
+            across = np.swapaxes(side, 1, 2) @ rows
+            residual = np.concatenate([at.residual, (self.mean - found.x) / self.sd], axis=1)
+            stands = bool(at.stands.all())
+            objective = float(np.sum(residual**2) + shared[0] @ shared[0])
+            if stands and (best is None or objective < best.objective):
+                inner = np.linalg.inv(corner)
+                best = _Common(shared[0], found.x, at, now, inner, inner @ across, objective)
+            return Outlook(
+                residual.reshape(1, -1),
+                (rows - side @ across).reshape(1, -1, count),
+                np.array([stands]),
+                np.zeros((1, 0)),
+            )
 
-    def _there(self, bench: Bench, shared: Array, own: Array, near: Array | None) -> _At:
-        place = self.placed(own)
-        problem = (model.problem_apart if self.seek_place else model.problem_of)(bench, self.frames, place)
-        near = near if near is not None and near.shape[1] == problem.grid.nodes.shape[-1] else None
-        solved = model.solve(bench, problem, own[:, : self.load], place, near)
-        tags = model.tags_of(bench, self.frames, solved, own[:, : self.load], place, shared=False)
-        residual = self.away(tags.pose)
-        objectives = self.costs(residual, own)
-        return _At(shared, own, tags, residual, np.where(solved.converged, objectives, np.inf))
+        nothing = np.zeros((1, count))
+        first = look(every[:1], nothing, nothing)
+        found = most_probable(look, first, nothing, nothing[0], np.ones(count), _TOGETHER_STEPS)
+        assert best is not None
+        return self._outcome(best, found.root[0])
 
-    def _bench(self, shared: Array) -> Bench:
-        return replace(self.bench, mean=self.bench.mean + self.bench.root @ shared)
-
-    def _slopes(self, now: _At) -> tuple[Array, Array]:
-        """The same, and (F, 3 m, r) with what is shared."""
-        place = self.placed(now.own)
-        tags = model.tags_of(self._bench(now.shared), self.frames, now.tags.solved, now.own[:, : self.load], place)
-        return self.own_slopes(tags), self.flat(tags.by_shared @ self.bench.root)
-
-    def _step(self, now: _At, damping: float) -> tuple[Array, Array]:
-        own, shared = self._slopes(now)
-        inner = np.swapaxes(own, 1, 2) @ own + np.eye(len(self.sd))
-        inner = inner * (1.0 + damping * np.eye(len(self.sd)))
-        right = np.einsum("frd,fr->fd", own, now.residual) - (now.own - self.mean) / self.sd
-        across = np.swapaxes(own, 1, 2) @ shared
-        down = np.linalg.solve(inner, np.concatenate([across, right[..., None]], axis=-1))
-        count = len(now.shared)
-        whole = (1.0 + damping) * np.eye(count) + np.einsum("frn,frk->nk", shared, shared)
-        whole -= np.einsum("fdn,fdk->nk", across, down[..., :-1])
-        pull = np.einsum("frn,fr->n", shared, now.residual) - now.shared - np.einsum("fdn,fd->n", across, down[..., -1])
-        by = np.linalg.solve(whole, pull)
-        return now.shared + by, now.own + self.sd * (down[..., -1] - down[..., :-1] @ by)
-
-    def _outcome(self, now: _At) -> tuple[Bench, Estimates, Misfit]:
-        own, shared = self._slopes(now)
-        side, size, turn = np.linalg.svd(own, full_matrices=False)
-        inner = np.swapaxes(turn, 1, 2) @ (turn / (1.0 + size[..., None] ** 2))
-        down = inner @ np.swapaxes(own, 1, 2) @ shared
-        # P = I - J A^-1 J^T = R^2, R = I - U (1 - (1 + size^2)^-1/2) U^T
-        less = (1.0 - 1.0 / np.sqrt(1.0 + size**2))[..., None] * (np.swapaxes(side, 1, 2) @ shared)
-        rows = (shared - side @ less).reshape(-1, shared.shape[-1])
-        _, told, ways = np.linalg.svd(rows, full_matrices=True)
-        told = np.pad(told, (0, len(ways) - len(told)))
-        root = ways.T / np.sqrt(1.0 + told**2)
-        left = root @ root.T
-        covariance = self.sd[:, None] * (inner + down @ left @ np.swapaxes(down, 1, 2)) * self.sd
-        bench = replace(self._bench(now.shared), root=self.bench.root @ root)
-        squares = np.sum(now.residual**2, axis=1)
-        measured = int(np.sum(np.any(self.whiten != 0.0, axis=-1)))
-        whole = float(np.sum(squares) + now.shared @ now.shared)
-        fit = Misfit(whole, measured - now.own.size, len(self.frames))
-        place = self.placed(now.own)
-        stands = np.where(now.tags.solved.converged, squares, np.inf)
-        common = -(self.sd[:, None] * (down @ root))[:, : self.load]
-        found = Estimates(now.own[:, : self.load], place, covariance, common, stands, squares, now.tags.pose)
-        return bench, found, fit
+    def _outcome(self, best: _Common, root: Array) -> tuple[Bench, Estimates, Misfit]:
+        bench, of_shared = self.moved(best.shared).bench, best.down @ root
+        covariance = best.inner @ np.swapaxes(best.inner, 1, 2) + of_shared @ np.swapaxes(of_shared, 1, 2)
+        squares = np.sum(best.at.residual**2, axis=1)
+        measured = int(np.sum(np.any(best.now.data.whiten != 0.0, axis=-1)))
+        fit = Misfit(float(np.sum(squares) + best.shared @ best.shared), measured - best.own.size, len(self.frames))
+        found = Estimates(
+            force=best.own[:, : self.load],
+            place=self.placed(best.own),
+            covariance=self.sd[:, None] * covariance * self.sd,
+            common=-(self.sd[:, None] * of_shared)[:, : self.load],
+            objective=squares,
+            chi2=squares,
+            pose=best.now.pose,
+        )
+        return replace(bench, root=self.bench.root @ root), found, fit
 
 
 # The forces of all frames of a recording: some frames together first, which tell what all share, then the others.

@@ -1,5 +1,4 @@
-"""The beam under an unknown load: what all frames share (k(s), tags, clamp, rest shape, picture, place of the contact),
-equilibria, and poses of the tags with derivatives.
+"""The beam under an unknown load, as the fit has it: what all frames of a recording share, and their predictions.
 
 The unknowns a frame has of its own are its load and, where it is asked for, the place of the force. A load is the two
 components [N] of a force, and may be followed by the moment [N m] that acts at the same place.
@@ -11,169 +10,79 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from onebend.beam.continuation import follow
-from onebend.beam.grid import Modes, apply, places, positions
+from onebend.beam.continuation import ContinuationSettings
+from onebend.beam.grid import Modes, places, positions
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
-from onebend.beam.problem import Problem, has_mass, make_problem, share_farther
-from onebend.beam.sensitivity import Perturbation, of_clamp_angle, of_rest_curvature, of_stiffness, respond
+from onebend.beam.problem import has_mass, make_problem, share_farther
 from onebend.beam.setup import SetUp
-from onebend.beam.statics import Equilibrium, correct, is_stable
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
-from onebend.learning.allowances import camera, heights
-from onebend.learning.fit_data import REST_MODES
-from onebend.learning.frames import at_frames, known_loads
+from onebend.learning.allowances import Allowance, camera, heights
+from onebend.learning.fit_data import REST_MODES, FitData, fit_data, rested
+from onebend.learning.frames import at_frames, known_loads, whitening
 from onebend.learning.paper import solve_states
-from onebend.learning.parameters import NEEDS_MASS, STATED_ERRORS, Priors, weighs
-from onebend.learning.prediction import TagRide, tag_blocks
+from onebend.learning.parameters import (
+    NEEDS_MASS,
+    STATED_ERRORS,
+    Layout,
+    Spline,
+    inside,
+    layout_of,
+    weighs,
+    without_recording,
+)
+from onebend.learning.prediction import Prediction, predict
 from onebend.learning.static_poses import RESOLUTION
-from onebend.records import Array, IntArray, Observations
+from onebend.records import Array, IntArray, Observations, Readings
 
 LEARNED = ("curvature", "clamp", "origin", "along", "across", "turn")  # that a film of the same mounting has as well
-_RIDING = ("along", "across", "turn", "origin", "scale")  # of the tags, as `tag_blocks` has them
+_STATED = (*LEARNED, "scale")  # errors of a bench without a log, whose beam is known
 _PLACES = 401
-_REMEMBERED = 50  # grids
 _SLIGHT = 3e-3  # of log k
+_REMEMBERED = 50  # grids
 _SAME_PLACE = 1e-6  # s
-
-
-@dataclass(frozen=True)
-class SharedPrior:
-    """A normal density, of covariance `root root^T`, of what the frames share, part after part.
-
-    In order: the independent ways (p) in which log k is off, its common scale, the clamp's angle, the rest curvature
-    (3) besides that of the beam, the tags' places along and across and their turns (m each), the origin (2), the
-    picture's scale, the discrepancy: of the places (2 m) and the angles (m) of the tags for each metre that they move;
-    the unknowns of the picture, and the place of the contact where it is said.
-    """
-
-    ways: Array  # (c, p) of the c coefficients of log k, each way of variance 1
-    picture: Array  # (T + 1, m, 3, v) m, m, rad: what the v unknowns of the picture do in each frame; the last at rest
-    mean: Array  # (n,)
-    root: Array  # (n, r)
-    parts: dict[str, slice]
-    memory: dict[bytes, Array] = field(default_factory=dict, compare=False)  # the ways of log k on nodes met before
-
-    def on_nodes(self, stiffness: UncertainStiffness, nodes: Array) -> Array:
-        """(..., p) of log k at `nodes` (...), per unit of each way."""
-        key = nodes.tobytes()
-        if key not in self.memory:
-            if len(self.memory) > _REMEMBERED:
-                self.memory.clear()
-            self.memory[key] = (stiffness.basis(nodes.ravel()) @ self.ways).reshape(*nodes.shape, -1)
-        return self.memory[key]
-
-
-def shared_prior(
-    observations: Observations,
-    stiffness: UncertainStiffness | None,
-    setup: SetUp | None,
-    *,
-    tags_as_learned: bool,
-    place_sd: float,
-) -> SharedPrior:
-    """As the recording states it, with the discrepancy of the `setup` in which the beam was learned, and the place of
-    the contact to `place_sd` [m]; with `tags_as_learned`, rest curvature, clamp and tags are those of the set-up, with
-    what their errors have in common with those of k(s)."""
-    o, m, tags = observations, len(observations.marker_s), [str(i) for i in observations.tag_id]
-    errors = {error.name: error for error in STATED_ERRORS}
-    stated = {name: errors[name].allowance([o], Priors(), tags).prior_sd for name in ("clamp", "curvature", *_RIDING)}
-    ways = np.zeros((0, 0)) if stiffness is None else ways_of(stiffness)
-    picture, picture_sd = picture_of(o)
-    place, angle = (0.0, 0.0) if setup is None else (setup.discrepancy, setup.angle_discrepancy)
-    sds = {
-        "log k": np.ones(ways.shape[1]),
-        "gain": np.full(1, 0.0 if stiffness is None else stiffness.gain_sd),
-        **stated,
-        "discrepancy": np.concatenate([np.full(2 * m, place), np.full(m, angle)]),
-        "picture": picture_sd,
-        "place": np.full(1, place_sd),
-    }
-    ends = np.cumsum([0, *(len(sd) for sd in sds.values())]).tolist()
-    parts = {name: slice(a, b) for name, a, b in zip(sds, ends[:-1], ends[1:], strict=True)}
-    prior = SharedPrior(ways, picture, np.zeros(ends[-1]), np.diag(np.concatenate(list(sds.values()))), parts)
-    if stiffness is None or setup is None or not (tags_as_learned and same_tags(o, setup)):
-        return prior
-    return _as_learned(prior, stiffness, setup)
-
-
-def same_tags(observations: Observations, setup: SetUp | None) -> bool:
-    """Whether the tags of this recording are at the places of those in the set-up."""
-    if setup is None or len(setup.tags) != len(observations.marker_s):
-        return False
-    return bool(np.allclose(setup.tags, observations.marker_s, rtol=0.0, atol=_SAME_PLACE))
-
-
-def picture_of(observations: Observations) -> tuple[Array, Array]:
-    """(T + 1, m, 3, v) what the unknowns of the camera, its plane and the tags' heights over it do to the poses, those
-    at rest last, and (v,) one sd of each."""
-    o, count = observations, len(observations.time) + 1
-    seen = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
-    rest = np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=-1)
-    found = [] if o.by_camera is None else [camera(o, np.ones(count - 1, dtype=bool), count)]
-    found += [] if o.source.view is None else [heights(o, np.concatenate([seen, rest[None]]))]
-    none = np.zeros((count, *seen.shape[1:], 0))
-    return np.concatenate([none, *(a.basis for a in found)], axis=-1), np.concatenate(
-        [np.zeros(0), *(a.prior_sd for a in found)]
-    )
-
-
-def ways_of(stiffness: UncertainStiffness) -> Array:
-    """(c, p) of the coefficients: the independent ways in which log k is off, each of variance 1, without those that
-    change log k by less than `_SLIGHT`, root mean square over the beam."""
-    values, vectors = np.linalg.eigh(stiffness.covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    on_beam = stiffness.basis(np.linspace(0.0, 1.0, _PLACES)) @ root / np.sqrt(_PLACES)
-    _, size, turn = np.linalg.svd(on_beam, full_matrices=False)
-    return np.asarray(root @ turn[size > _SLIGHT].T)
-
-
-def _as_learned(prior: SharedPrior, stiffness: UncertainStiffness, setup: SetUp) -> SharedPrior:
-    """With the joint density of log k and the set-up; ways of log k that were left out are counted with what k(s) does
-    not tell."""
-    names = [name for name in LEARNED if name in setup.columns]
-    ours, theirs = (np.concatenate([np.r_[where[name]] for name in names]) for where in (prior.parts, setup.columns))
-    slope = setup.slope[theirs]
-    unseen = slope @ (stiffness.covariance - prior.ways @ prior.ways.T) @ slope.T
-    values, vectors = np.linalg.eigh(setup.covariance[np.ix_(theirs, theirs)] + 0.5 * (unseen + unseen.T))
-    mean, root = prior.mean.copy(), prior.root.copy()
-    root[ours] = 0.0
-    root[np.ix_(ours, ours)] = vectors * np.sqrt(np.maximum(values, 0.0))
-    root[ours, prior.parts["log k"]] = slope @ prior.ways
-    mean[ours] = setup.mean[theirs]
-    mean[prior.parts["curvature"]] = 0.0  # that of the beam is the learned one
-    return SharedPrior(prior.ways, prior.picture, mean, root, prior.parts)
-
-
+_NONE = 1e-300  # of a metre: no discrepancy, yet a parameter
+AT_REST = np.array([-1], dtype=np.int64)  # the frame that shows the beam at rest
+# rad: how far Newton's method may turn the beam, and what it may leave; a load that takes the beam farther is not tried
+_NEAR = ContinuationSettings(max_turn=3.0, tolerance=1e-11, grow=False)
 INNERMOST = 0.03  # s: nearer to the clamp a force bends nothing
-_TRUST = 3.0  # rad: Newton's method may turn the beam no further
-_REMAINING = 1e-11  # rad
 
 
 @dataclass(frozen=True)
 class Bench:
-    """Beam and mounting: what the frames share is `mean`, of covariance `root root^T`, in the order of the prior."""
+    """Beam and mounting: the parameters that the frames share have this `mean`, and the covariance `root root^T`.
+
+    Beside those that the fit has: the independent ways in which log k is off, its common scale ("gain"), the
+    discrepancy of the tags' poses for each metre that they move, and the place of the contact where it is said.
+    """
 
     beam: Beam
     stiffness: UncertainStiffness | None
-    prior: SharedPrior
     observations: Observations
+    layout: Layout
+    known: FitData  # what does not go with the frame
+    seen: Array  # (T + 1, m, 3) m, m, rad: the tags; the last frame is that at rest
+    whiten: Array  # (T + 1, m, 3, 3)
+    of_poses: tuple[Allowance, ...]  # in the same frames; the discrepancy last, its basis by `predicted`
+    ways: Array  # (c, p) of the c coefficients of log k, each way of variance 1
     mean: Array  # (n,)
     root: Array  # (n, r)
+    memory: dict[bytes, dict[str, Array]] = field(default_factory=dict, compare=False)  # see `_logs`
 
     @property
-    def parts(self) -> dict[str, slice]:
-        return self.prior.parts
+    def columns(self) -> dict[str, slice]:
+        """Where each group of parameters stands."""
+        return self.layout.free_columns(0)
 
     def value(self, part: str) -> float:
-        """Of a part that is one number."""
-        return float(self.mean[self.parts[part]][0])
+        """Of a group that is one number."""
+        return float(self.layout.get(self.mean, part, 0)[0])
 
     @property
     def place_sd(self) -> float:
         """m, of the contact's place where it is known beforehand."""
-        return float(np.linalg.norm(self.root[self.parts["place"]]))
+        return float(np.linalg.norm(self.root[self.columns.get("place", slice(0))]))
 
     @property
     def axes(self) -> Array:
@@ -187,21 +96,216 @@ class Bench:
         out[:2, :2] = self.axes
         return out
 
+    def placed(self, place: Array) -> Array:
+        """(F,) s where the force acts that is stated to act at `place` (F,)."""
+        return np.clip(place + self.value("place") / self.observations.length, INNERMOST, 1.0)
+
+    def showing(self, seen: Array, covariance: Array) -> Bench:
+        """With other frames: tags (F, m, 3) of this `covariance` (F, m, 3, 3), in the first one's gravity."""
+        o, count = self.observations, len(seen)
+        other = replace(
+            o,
+            time=np.arange(float(count)),
+            frame=np.arange(count),
+            xy=seen[..., :2],
+            angle=seen[..., 2],
+            covariance=covariance,
+            force=np.zeros((count, 2)),
+            push_s=np.full(count, np.nan),
+            loaded=np.ones(count, dtype=bool),
+            gravity=np.tile(o.gravity[:1], (count, 1)),
+        )
+        every = np.concatenate([seen, self.seen[AT_REST]])
+        whiten = np.concatenate([whitening(seen, covariance), self.whiten[AT_REST]])
+        of_poses = tuple(replace(a, basis=0.0 * a.basis[: count + 1]) for a in self.of_poses)
+        return replace(self, observations=other, seen=every, whiten=whiten, of_poses=of_poses)
+
+    def at(self, frames: IntArray, place: Array, *, apart: bool = False) -> FitData:
+        """`frames` (F,) as the fit has them, without a force, on a grid with an edge at its `place` (F,); `apart`: on
+        one grid a frame, of as many panels wherever the places are."""
+        o, rows, at = self.observations, frames, place
+        if apart:  # a frame more, of another place
+            rows, at = np.append(frames, frames[-1]), np.append(place, 0.5 * place[-1])
+        gravity, known = np.vstack([o.gravity, np.zeros(2)])[rows], known_loads(o, np.ones(len(o.time), dtype=bool))
+        loads = push(np.zeros((len(rows), 2)), at) + (known if known.size == 1 else rested(known).take(rows))
+        problem = make_problem(self.beam, loads + weight(gravity) if np.any(gravity) else loads, RESOLUTION)
+        problem = problem.take(np.arange(len(frames))) if apart else problem
+        nodes, none = problem.grid.nodes, np.zeros((len(frames), 2))
+        data = replace(
+            self.known,
+            measured=self.seen[frames],
+            whiten=self.whiten[frames],
+            force=none,
+            rate=none,
+            error_weights=np.zeros((len(frames), 0)),
+            problem=problem,
+            beyond=(nodes < place[:, None]).astype(float),
+            farther=share_farther(problem, place),
+            weight=problem.dead_force,
+            on_nodes=np.zeros((*nodes.shape, 0)),
+            offset=np.log(problem.k),
+            rest_on_nodes=REST_MODES.curvature(nodes),
+            allowances=tuple(replace(a, basis=a.basis[frames]) for a in self.of_poses),
+        )
+        off = any(np.any(self.mean[self.columns[a.name]]) for a in self.known.allowances)
+        return self._with_logs(data) if off else data
+
+    def _with_logs(self, data: FitData) -> FitData:
+        """With the errors of log k, where they are not there yet."""
+        if not self.known.allowances or data.entering("log k"):
+            return data
+        logs = self._logs(data.problem.grid.nodes)
+        free = [replace(a, basis=logs[a.name]) for a in self.known.allowances]
+        return replace(data, allowances=(*free, *data.allowances))
+
+    def _logs(self, nodes: Array) -> dict[str, Array]:
+        """(..., n) at `nodes` (...) of each group of functions of log k; those of grids met before are kept."""
+        key = nodes.tobytes()
+        if key not in self.memory:
+            if len(self.memory) > _REMEMBERED:
+                self.memory.clear()
+            logs = {"gain": np.ones((*nodes.shape, 1))}
+            if self.stiffness is not None:
+                logs["ways"] = (self.stiffness.basis(nodes.ravel()) @ self.ways).reshape(*nodes.shape, -1)
+            self.memory[key] = logs
+        return self.memory[key]
+
+    def predicted(self, data: FitData, load: Array, near: Array | None) -> Prediction:
+        """Of frames under `load` (F, n); from shapes `near` (F, Q), if they are on the same grid."""
+        if near is None or near.shape[1] != data.problem.grid.nodes.shape[-1]:
+            now = predict(data, self.layout, self.mean, None, load)
+        else:
+            now = predict(data, self.layout, self.mean, near, load, _NEAR)
+        where = self.columns.get("discrepancy")
+        if where is None:
+            return now
+        moved = np.sum((now.pose[..., :2] - self.at_rest) ** 2, axis=-1)
+        m, size = moved.shape[1], np.sqrt(np.mean(moved, axis=1))[:, None, None, None]
+        off = replace(data.allowances[-1], basis=size * np.eye(3 * m).reshape(m, 3, 3 * m))
+        pose = now.pose + off.basis @ self.mean[where]
+        return replace(now, data=replace(data, allowances=(*data.allowances[:-1], off)), pose=pose)
+
     @property
     def at_rest(self) -> Array:
         """(m, 2) m, where the tags were seen at rest; on a straight beam, where they were not."""
         o = self.observations
         return np.where(np.isfinite(o.rest_xy), o.rest_xy, o.length * o.marker_s[:, None] * np.array([1.0, 0.0]))
 
-    def placed(self, place: Array) -> Array:
-        """(F,) s where the force acts that is stated to act at `place` (F,)."""
-        return np.clip(place + self.value("place") / self.observations.length, INNERMOST, 1.0)
+    def by_shared(self, now: Prediction) -> Array:
+        """(F, m, 3, r) of the tags, per sd of each error that the frames share. Forces are of the clamp's axes: they
+        turn with the clamp."""
+        slopes = replace(now, data=self._with_logs(now.data)).slopes
+        if "clamp" in self.columns:
+            turned = slopes.a[..., 1] * now.own[:, 0, None, None] - slopes.a[..., 0] * now.own[:, 1, None, None]
+            slopes.j[..., self.columns["clamp"].start] += turned
+        if "place" in self.columns and now.own.shape[1] > 2:  # the moment acts at that place too
+            slopes.j[..., self.columns["place"].start] = now.by_own(place=True)[..., -1]
+        return np.asarray(slopes.j @ self.root)
 
-    def beyond(self, problem: Problem, place: Array) -> Array:
-        """(F, Q) share of the force at `place` (F,) that acts beyond each node, with the error of that place."""
-        here = np.asarray(problem.grid.nodes < place[:, None], dtype=float)
-        off = self.value("place")
-        return here if off == 0.0 else here + off * share_farther(problem, place)
+
+def bench_at(
+    beam: Beam,
+    observations: Observations,
+    stiffness: UncertainStiffness | None,
+    setup: SetUp | None,
+    *,
+    tags_as_learned: bool,
+    place_sd: float,
+) -> Bench:
+    """As the recording states it, with the discrepancy of the `setup` in which the beam was learned, and the place of
+    the contact to `place_sd` [m]; with `tags_as_learned`, rest curvature, clamp and tags are those of the set-up, with
+    what their errors have in common with those of k(s)."""
+    o = observations
+    as_learned = tags_as_learned and stiffness is not None and same_tags(o, setup)
+    tags = [str(i) for i in o.tag_id]
+    stated = {e.name: e.allowance([o], tags) if e.name in _STATED else e.with_sd(0.0, tags) for e in STATED_ERRORS}
+    stated["place"] = inside("place", "m", place_sd, ("place",))
+    if as_learned and setup is not None:  # the joint density below takes the place of what is stated
+        known = {name: replace(a, prior_sd=np.ones(a.count)) for name, a in stated.items() if name in setup.columns}
+        stated |= {name: a for name, a in known.items() if name in LEARNED}
+    ways = np.zeros((0, 0)) if stiffness is None else ways_of(stiffness)
+    gain = inside("gain", "1", 0.0 if stiffness is None else stiffness.gain_sd, ("gain",))
+    logs = [inside("ways", "1", 1.0, ("",) * ways.shape[1]), gain]
+    logs = [replace(a, enters="log k") for a in logs if a.count and a.prior_sd[0] > 0.0]
+    seen = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
+    seen = np.concatenate([seen, np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=1)[None]])
+    of_poses = _picture(o, seen) + _discrepancy(o, setup)
+    wanted = [(0, a) for a in (*stated.values(), *logs, *of_poses, *without_recording())]
+    layout = layout_of(Spline(0), wanted)
+    blocks = [block.prior_sd for block in layout.blocks if block.start >= 0]
+    root = np.diag(np.concatenate([np.zeros(0), *blocks]))
+    covariance = np.concatenate([o.covariance, o.rest_covariance[None]])
+    bench = Bench(
+        beam=beam,
+        stiffness=stiffness,
+        observations=o,
+        layout=layout,
+        known=replace(_without_frames(o), allowances=tuple(logs)),
+        seen=seen,
+        whiten=whitening(seen, covariance),
+        of_poses=of_poses,
+        ways=ways,
+        mean=np.zeros(layout.size),
+        root=root,
+    )
+    return _as_learned(bench, stiffness, setup) if as_learned and stiffness is not None and setup is not None else bench
+
+
+def _without_frames(o: Observations) -> FitData:
+    """What of a recording does not go with the frame."""
+    plain = replace(o, static=False, readings=Readings(), held=None, known_loads=None, gravity=0.0 * o.gravity)
+    plain = replace(plain, source=replace(o.source, clean_force=None), force=0.0 * o.force, push_s=np.ones(len(o.time)))
+    one = at_frames(plain, np.arange(len(o.time)) < 1)
+    return replace(fit_data(one, 0, np.ones(1, dtype=bool), Spline(4)), tags=np.arange(len(o.marker_s)))
+
+
+def _discrepancy(o: Observations, setup: SetUp | None) -> tuple[Allowance, ...]:
+    """Errors of each tag's x, y and angle that go with how far the tags have moved, as learning left them."""
+    m, (place, angle) = len(o.marker_s), (0.0, 0.0) if setup is None else (setup.discrepancy, setup.angle_discrepancy)
+    sds = np.tile([max(place, _NONE), max(place, _NONE), max(angle, _NONE)], m)
+    basis = np.zeros((len(o.time) + 1, m, 3, 3 * m))
+    one = Allowance("discrepancy", "poses", "1", ("",) * (3 * m), sds, basis)
+    return (one,) if max(place, angle) > 0.0 else ()
+
+
+def same_tags(observations: Observations, setup: SetUp | None) -> bool:
+    """Whether the tags of this recording are at the places of those in the set-up."""
+    if setup is None or len(setup.tags) != len(observations.marker_s):
+        return False
+    return bool(np.allclose(setup.tags, observations.marker_s, rtol=0.0, atol=_SAME_PLACE))
+
+
+def _picture(o: Observations, seen: Array) -> tuple[Allowance, ...]:
+    """The unknowns of the camera, its plane and the tags' heights over it."""
+    out = [] if o.by_camera is None else [camera(o, np.ones(len(o.time), dtype=bool), len(seen))]
+    return (*out, *([] if o.source.view is None else [heights(o, seen)]))
+
+
+def ways_of(stiffness: UncertainStiffness) -> Array:
+    """(c, p) of the coefficients: the independent ways in which log k is off, each of variance 1, without those that
+    change log k by less than `_SLIGHT`, root mean square over the beam."""
+    values, vectors = np.linalg.eigh(stiffness.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    on_beam = stiffness.basis(np.linspace(0.0, 1.0, _PLACES)) @ root / np.sqrt(_PLACES)
+    _, size, turn = np.linalg.svd(on_beam, full_matrices=False)
+    return np.asarray(root @ turn[size > _SLIGHT].T)
+
+
+def _as_learned(bench: Bench, stiffness: UncertainStiffness, setup: SetUp) -> Bench:
+    """With the joint density of log k and the set-up; ways of log k that were left out are counted with what k(s) does
+    not tell."""
+    names = [name for name in LEARNED if name in setup.columns]
+    ours, theirs = (np.concatenate([np.r_[where[name]] for name in names]) for where in (bench.columns, setup.columns))
+    slope = setup.slope[theirs]
+    unseen = slope @ (stiffness.covariance - bench.ways @ bench.ways.T) @ slope.T
+    values, vectors = np.linalg.eigh(setup.covariance[np.ix_(theirs, theirs)] + 0.5 * (unseen + unseen.T))
+    mean, root = bench.mean.copy(), bench.root.copy()
+    root[ours] = 0.0
+    root[np.ix_(ours, ours)] = vectors * np.sqrt(np.maximum(values, 0.0))
+    root[ours, bench.columns["ways"]] = slope @ bench.ways
+    mean[ours] = setup.mean[theirs]
+    mean[bench.columns.get("curvature", slice(0))] = 0.0  # that of the beam is the learned one
+    return replace(bench, mean=mean, root=root)
 
 
 def check_recording(beam: Beam, o: Observations) -> None:
@@ -221,148 +325,6 @@ def check_recording(beam: Beam, o: Observations) -> None:
         )
     if weighs(o) and not has_mass(beam):
         raise LearningError(f"{o.source.name}: {NEEDS_MASS}")
-
-
-def problem_of(bench: Bench, frames: IntArray, place: Array) -> Problem:
-    """The beam in `frames` (F,) under all that acts but the force that is sought, on a grid with an edge at its `place`
-    (F,)."""
-    return _on_grid(bench, bench.observations, frames, place, len(frames))
-
-
-def problem_apart(bench: Bench, frames: IntArray, place: Array) -> Problem:
-    """The same on one grid a frame, of as many panels wherever the places are."""
-    rows = np.append(frames, frames[-1])
-    at = np.concatenate([place, 0.5 * place[-1:]])  # a frame more, of another place
-    return _on_grid(bench, bench.observations, rows, at, len(frames))
-
-
-def rest_problem(bench: Bench) -> Problem:
-    """The beam with nothing on it, one frame."""
-    return _as_known(bench, make_problem(bench.beam, push(np.zeros((1, 2))), RESOLUTION))
-
-
-def solve(bench: Bench, problem: Problem, load: Array, place: Array, start: Array | None) -> Equilibrium:
-    """Equilibria under `load` (F, n) at `place` (F,) besides; with the curvatures `start` (F, Q) by Newton's
-    method from there alone: frames where it goes astray, or to what does not stand, have not converged."""
-    beyond = bench.beyond(problem, place)
-    force = problem.dead_force + beyond[..., None] * load[:, None, :2]
-    moment = problem.moment + beyond * load[:, 2:] if load.shape[1] > 2 else problem.moment
-    loaded = replace(problem, dead_force=force, moment=moment)
-    if start is None:
-        return follow(loaded)
-    ones = np.ones(len(load))
-    q, near, count = correct(loaded, start, ones, trust=_TRUST * ones, remaining=_REMAINING * ones)
-    near &= is_stable(loaded, q)
-    never = np.full(len(load), np.nan)
-    return Equilibrium(loaded, q, near, near.copy(), np.where(near, 1.0, np.nan), never, np.zeros_like(near), count)
-
-
-def _on_grid(bench: Bench, o: Observations, rows: IntArray, at: Array, count: int) -> Problem:
-    loads = push(np.zeros((len(rows), 2)), at)
-    if o.known_loads is not None:
-        loads = loads + known_loads(o, np.ones(len(o.time), dtype=bool)).take(rows)
-    if np.any(o.gravity[rows] != 0.0):
-        loads = loads + weight(o.gravity[rows])
-    problem = make_problem(bench.beam, loads, RESOLUTION)
-    return _as_known(bench, problem if count == len(rows) else problem.take(np.arange(count)))
-
-
-def _as_known(bench: Bench, problem: Problem) -> Problem:
-    """With k(s), rest curvature and clamp angle as they are thought to be."""
-    nodes, level = problem.grid.nodes, bench.value("gain")
-    q0 = (
-        np.asarray(bench.beam.rest_curvature(nodes))
-        + REST_MODES.curvature(nodes) @ bench.mean[bench.parts["curvature"]]
-    )
-    off = bench.mean[bench.parts["log k"]]
-    k = problem.k
-    if bench.stiffness is not None and (level != 0.0 or np.any(off != 0.0)):
-        k = k * np.exp(level + bench.prior.on_nodes(bench.stiffness, nodes) @ off)
-    return replace(problem, k=k, q0=q0, alpha0=np.asarray(bench.beam.clamp_angle + bench.value("clamp")))
-
-
-# Where the tags are in a frame, and how they move with its force and place and with all that the frames share.
-
-AT_REST = np.array([-1], dtype=np.int64)  # the frame that shows the beam at rest
-
-
-@dataclass(frozen=True)
-class Tags:
-    """Tags of F frames as force and place put them, with derivatives; m, m, rad."""
-
-    solved: Equilibrium
-    pose: Array  # (F, m, 3)
-    by_load: Array  # (F, m, 3, n) per N, and per N m
-    by_place: Array  # (F, m, 3, 1) per metre that the force acts farther out
-    by_shared: Array  # (F, m, 3, n) per unit of what the frames share
-
-
-def poses_of(bench: Bench, frames: IntArray, solved: Equilibrium) -> tuple[Array, TagRide, Array]:
-    """(F, m, 3) m, m, rad: the tags in the picture; how they ride, and the places (m,) of the beam under them."""
-    parts, mean, length = bench.parts, bench.mean, bench.observations.length
-    at = bench.observations.marker_s + mean[parts["along"]] / length
-    s = np.clip(at, 0.0, 1.0)
-    ride = TagRide(solved.angle(s), length * (at - s), mean[parts["across"]], 1.0 + bench.value("scale"))
-    pose = ride.pose(solved.xy(s), mean[parts["origin"]], mean[parts["turn"]])
-    seen = pose + bench.prior.picture[frames] @ mean[parts["picture"]]
-    return seen + _left(bench, pose[..., :2]) @ mean[parts["discrepancy"]], ride, s
-
-
-def tags_of(
-    bench: Bench, frames: IntArray, solved: Equilibrium, load: Array, place: Array, *, shared: bool = True
-) -> Tags:
-    """Of `frames` (F,) under `load` (F, n) at `place` (F,), the equilibria being `solved`; without `shared`,
-    the derivatives with what the frames share are left out.
-
-    Forces are of the clamp's axes: they turn with the clamp.
-    """
-    problem, nodes = solved.problem, solved.problem.grid.nodes
-    pose, ride, s = poses_of(bench, frames, solved)
-    own, n = _of_own(bench, problem, load, place), load.shape[1]
-    ends = own.clamp.size
-    if not shared:
-        moved = ride.carry(respond(solved, own).poses(s))
-        return Tags(solved, pose, moved[..., :n], moved[..., n:], moved[..., ends:])
-    level = problem.k[..., None]
-    functions = level
-    if bench.stiffness is not None:
-        functions = np.concatenate([level * bench.prior.on_nodes(bench.stiffness, nodes), level], axis=-1)
-    changes = own + of_stiffness(solved, functions) + of_clamp_angle(problem)
-    changes = changes + of_rest_curvature(problem, REST_MODES.curvature(nodes))
-    moved = ride.carry(respond(solved, changes).poses(s))
-    turned = bench.parts["clamp"].start + ends
-    moved[..., turned] += moved[..., 1] * load[:, 0, None, None]
-    moved[..., turned] -= moved[..., 0] * load[:, 1, None, None]
-    xy = ride.offset + solved.xy(s)
-    bend = np.where(ride.over <= 0.0, apply(problem.grid.value_at(s), solved.q) / bench.observations.length, 0.0)
-    riding = tag_blocks(ride.motion(xy, bend))
-    blocks = [moved[..., ends:], *(riding[name] for name in _RIDING), _left(bench, pose[..., :2])]
-    blocks += [bench.prior.picture[frames], moved[..., n:ends]]
-    return Tags(solved, pose, moved[..., :n], moved[..., n:ends], np.concatenate(blocks, axis=-1))
-
-
-def _of_own(bench: Bench, problem: Problem, load: Array, place: Array) -> Perturbation:
-    count, n = load.shape
-    shape = (count, problem.to_nodes.shape[-1])
-    force, moment = np.zeros((*shape, 2, n + 1)), np.zeros((*shape, n + 1))
-    beyond, farther = bench.beyond(problem, place), share_farther(problem, place)
-    for c in range(2):
-        force[..., c, c] = beyond
-        force[..., c, n] = farther * load[:, c, None]
-    if n > 2:
-        moment[..., 2], moment[..., n] = beyond, farther * load[:, 2:]
-    return Perturbation(force, moment if n > 2 else None, None, np.zeros(n + 1))
-
-
-def _left(bench: Bench, xy: Array) -> Array:
-    """(F, m, 3, 3 m) of each tag's x, then y, then angle, per unit of the discrepancy, of tags at `xy` (F, m, 2) m."""
-    moved = xy - bench.at_rest
-    frames, m = moved.shape[:2]
-    size = np.sqrt(np.mean(np.sum(moved**2, axis=-1), axis=1))
-    out = np.zeros((frames, m, 3, 3, m))
-    for tag in range(m):
-        out[:, tag, range(3), range(3), tag] = size[:, None]
-    return out.reshape(frames, m, 3, 3 * m)
 
 
 # The search begins at the load that balances the curvature from inverse kinematics (22), `k (q - q0) = (r(s_a) - r(s))

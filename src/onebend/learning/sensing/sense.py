@@ -11,7 +11,6 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.setup import SetUp
-from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.force_error import force_error
@@ -20,7 +19,7 @@ from onebend.learning.sensing import model
 from onebend.learning.sensing.contacts import edges_of, frames_at_edges, runs_of, within
 from onebend.learning.sensing.endings import Edge, bending, ended
 from onebend.learning.sensing.forces import TOUCH, FrameModel, Misfit, Searched, first, read, rested, search, touches
-from onebend.learning.sensing.model import Bench, Tags
+from onebend.learning.sensing.model import Bench
 from onebend.learning.sensing.sensor import FEWEST, SensedForces, SensorCheck, check_sensor
 from onebend.options import NOT_NEGATIVE, POSITIVE, option
 from onebend.progress import one_blas_thread
@@ -309,8 +308,7 @@ def bench_of(
     if settings.place == "unknown":
         place_sd = 0.0
     as_learned = settings.tags == "learned"
-    prior = model.shared_prior(o, stiffness, setup, tags_as_learned=as_learned, place_sd=place_sd)
-    return rested(Bench(beam, stiffness, prior, o, prior.mean, prior.root))
+    return rested(model.bench_at(beam, o, stiffness, setup, tags_as_learned=as_learned, place_sd=place_sd))
 
 
 def places_of(o: Observations, frames: IntArray, settings: SenseSettings) -> Array:
@@ -412,10 +410,8 @@ def _over_time(
 # One frame after the other, each from the force and shape of the one before. Errors that frames share are integrated
 # out as they count at this force: near a buckling load that changes much from frame to frame.
 
-_STEPS = 8
-_CLOSE = 0.3  # posterior sds: a step this small is the last, and taken to first order
-_SLID = 0.02  # of s: a place so far from the grid's edge gets a grid of its own
 _LOST = 20.0  # squared residuals over their count, above the usual: the search begins anew
+_STEPS, _CLOSE = 8, (0.3,)  # posterior sds: a step this small is the last
 _ONE = np.zeros(1, dtype=np.int64)
 
 
@@ -431,16 +427,6 @@ class LiveForce:
     place_sd: float  # of s
     touched: bool  # zero force lies outside the 95 % region
     chi2: float  # squared residuals in units of all noise
-
-
-@dataclass(frozen=True)
-class _Shape:
-    """The beam as it was solved last."""
-
-    unknown: Array  # (d,) N, N, s
-    edge: float  # s, of the grid
-    tags: Tags
-    noise: Array  # (m, 3, r) what the frames share, as it counts here
 
 
 class OnlineSense:
@@ -468,112 +454,36 @@ class OnlineSense:
         every = np.arange(len(o.time), dtype=np.int64)
         self._place = None if settings.place == "unknown" else float(places_of(o, every, settings)[0])
         self._force_sd = priors_of(beam, settings)[:2]
-        self._shape: _Shape | None = None
+        self._last: tuple[Array, Array] | None = None  # (1, d) unknowns and (1, Q) shape of the frame before
 
     @one_blas_thread
     def add(self, time: float, xy: Array, angle: Array, covariance: Array) -> LiveForce:
         """The force in a frame at `time` [s]: tags at `xy` (m, 2) [m], `angle` (m,) [rad], with their covariance
         (m, 3, 3); NaN where a tag was not seen."""
+        seen = np.concatenate([xy, angle[:, None]], axis=1)[None]
         if np.sum(np.isfinite(xy)) < 2:
             return _no_force(time, np.nan)
-        frame = self._frame(time, xy, angle, covariance)
-        most = _LOST * int(np.sum(np.isfinite(frame.seen)))
-        found = self._follow(self._shape if self._shape is not None else self._anew(frame), frame)
-        if found is None or found[3] > most:
-            again = self._follow(self._anew(frame), frame)
-            found = again if found is None or (again is not None and again[3] < found[3]) else found
-        if found is None or not found[3] <= most:
-            self._shape = None
-            return _no_force(time, np.nan if found is None else found[3])
-        self._shape, unknown, spread, chi2 = found
-        axes = self._bench.axes
-        force, part = axes @ unknown[:2], axes @ spread[:2, :2] @ axes.T
-        if self._place is None:
-            place, place_sd = float(unknown[2]), float(np.sqrt(spread[2, 2]))
-        else:
-            place, place_sd = self._place, self._bench.place_sd / self._bench.observations.length
-        touched = bool(force @ np.linalg.solve(part, force) > TOUCH)
-        return LiveForce(time, force, part, place, place_sd, touched, chi2)
-
-    def _follow(self, shape: _Shape, frame: FrameModel) -> tuple[_Shape, Array, Array, float] | None:
-        """Shape, unknowns (d,), their covariance and the squared residuals; None where the beam does not stand."""
-        for number in range(_STEPS):
-            slopes, residual = self._whitened(shape, frame)
-            left, told, turn = np.linalg.svd(slopes, full_matrices=False)
-            z = (shape.unknown - frame.mean) / frame.sd
-            step = turn.T @ ((told * (left.T @ residual) - turn @ z) / (1.0 + told**2))
-            unknown = frame.inside(shape.unknown[None] + frame.sd * step)[0]
-            moved = np.linalg.norm(np.hypot(1.0, told) * (turn @ step))
-            if number and moved < _CLOSE:
-                break
-            now = self._solved(unknown, shape)
-            if now is None:
-                return None
-            shape = now
-        slopes, residual = self._whitened(shape, frame)
-        _, told, turn = np.linalg.svd(slopes, full_matrices=False)
-        root = frame.sd[:, None] * turn.T / np.hypot(1.0, told)
-        left_over = residual - slopes @ ((unknown - shape.unknown) / frame.sd)
-        return shape, unknown, root @ root.T, float(left_over @ left_over)
-
-    def _whitened(self, shape: _Shape, frame: FrameModel) -> tuple[Array, Array]:
-        """(3 m, d) slopes over the priors' sds, and (3 m,) residuals, in units of all noise."""
-        shared, tags = frame.flat(shape.noise[None])[0], shape.tags
-        both = np.column_stack([frame.own_slopes(tags)[0], frame.away(tags.pose)[0]])
-        out = np.linalg.solve(np.linalg.cholesky(np.eye(len(both)) + shared @ shared.T), both)
-        return out[:, :-1], out[:, -1]
-
-    def _solved(self, unknown: Array, near: _Shape) -> _Shape | None:
-        edge = near.edge
-        if self._place is None and abs(unknown[2] - edge) > _SLID:
-            edge = float(unknown[2])
-        bench, at = self._at(unknown, edge)
-        problem = model.problem_of(bench, _ONE, at)
-        q = near.tags.solved.q
-        start = q if q.shape[1] == problem.grid.nodes.shape[-1] else None
-        solved = model.solve(bench, problem, unknown[None, :2], at, start)
-        if start is not None and not solved.converged[0]:
-            solved = model.solve(bench, problem, unknown[None, :2], at, None)
-        return _shaped(bench, unknown, edge, solved, at) if solved.converged[0] else None
-
-    def _at(self, unknown: Array, edge: float) -> tuple[Bench, Array]:
-        """The bench with the place that is sought as far from the grid's edge as it is, and that edge."""
-        if self._place is not None:
-            return self._bench, np.array([self._place])
-        mean = self._bench.mean.copy()
-        mean[self._bench.parts["place"]] = (unknown[2] - edge) * self._bench.observations.length
-        return replace(self._bench, mean=mean), np.array([edge])
-
-    def _frame(self, time: float, xy: Array, angle: Array, covariance: Array) -> FrameModel:
-        o = self._bench.observations
-        alone = replace(
-            o,
-            time=np.array([time]),
-            frame=_ONE,
-            xy=xy[None],
-            angle=angle[None],
-            covariance=covariance[None],
-            force=np.zeros((1, 2)),
-            push_s=np.full(1, np.nan),
-            loaded=np.ones(1, dtype=bool),
-            gravity=o.gravity[:1],
-        )
         place = np.full(1, np.nan if self._place is None else self._place)
-        return FrameModel(replace(self._bench, observations=alone), _ONE, place, self._force_sd, self._place is None)
-
-    def _anew(self, frame: FrameModel) -> _Shape:
-        """The frame as one of a recording, with none before it."""
-        found, _ = first(frame.bench, _ONE, None if frame.seek_place else frame.place, self._force_sd)
-        unknown = np.append(np.nan_to_num(found.force[0]), found.place[0])[: len(frame.sd)]
-        edge = self._place if self._place is not None else float(found.place[0])
-        here, at = self._at(unknown, edge)
-        solved = model.solve(here, model.problem_of(here, _ONE, at), unknown[None, :2], at, None)
-        return _shaped(here, unknown, edge, solved, at)
-
-
-def _shaped(bench: Bench, unknown: Array, edge: float, solved: Equilibrium, at: Array) -> _Shape:
-    tags = model.tags_of(bench, _ONE, solved, unknown[None, :2], at)
-    return _Shape(unknown, edge, tags, tags.by_shared[0] @ bench.root)
+        bench = self._bench.showing(seen, covariance[None])
+        frame = FrameModel(bench, _ONE, place, self._force_sd, self._place is None)
+        most, found = _LOST * int(np.sum(np.isfinite(seen))), None
+        if self._last is not None:
+            found, shape = frame.searched(*self._last, _CLOSE, _STEPS)
+        if found is None or not found.chi2[0] <= most or not np.isfinite(found.force).all():
+            begun, _ = first(bench, _ONE, None if frame.seek_place else place, self._force_sd)
+            own = np.column_stack([np.nan_to_num(begun.force), begun.place])[:, : len(frame.sd)]
+            again, near = frame.searched(own)
+            found, shape = (again, near) if found is None or again.chi2[0] < found.chi2[0] else (found, shape)
+        chi2 = float(found.chi2[0])
+        if not (chi2 <= most and np.isfinite(found.force).all()):
+            self._last = None
+            return _no_force(time, chi2)
+        own = np.column_stack([found.force, found.place])[:, : len(frame.sd)]
+        self._last, axes = (own, shape), bench.axes
+        force, part = axes @ found.force[0], axes @ found.covariance[0, :2, :2] @ axes.T
+        sd = np.sqrt(found.covariance[0, 2, 2]) if frame.seek_place else bench.place_sd / bench.observations.length
+        touched = bool(force @ np.linalg.solve(part, force) > TOUCH)
+        return LiveForce(time, force, part, float(found.place[0]), float(sd), touched, chi2)
 
 
 def _no_force(time: float, chi2: float) -> LiveForce:

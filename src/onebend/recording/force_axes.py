@@ -1,21 +1,18 @@
-"""Markers and force on one clock: reading the log, matching the clocks, cleaning, pairing, checking."""
+"""Whether the force log's axes and place are those that recording.toml says, by how the beam bends under it."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from onebend.errors import ObservationError
-from onebend.recording.bag_topics import read_bag_force
-from onebend.recording.beam_frame import BaseLog, RestShape, base_clock, check_overlap
-from onebend.recording.clock import ClockFit, ClockSettings, displacements, fit_clock, slow_sensor, without_lag
-from onebend.recording.entries import ForceEntry, Recording
-from onebend.recording.force import Contact, ForceSettings, choose_cutoff, clean_force, force_at, gap_limit, to_beam
-from onebend.recording.force_log import FEWEST_ROWS, noise_remarks, read_force_log, refuse_other_unit, size_remarks
-from onebend.recording.signals import at_times, bandwidth, from_clamp, step
-from onebend.records import Array, BoolArray, CleanForce, ClockOffset, ForceLog, Markers, Remark
+from onebend.recording.beam_frame import RestShape
+from onebend.recording.entries import Recording
+from onebend.recording.force import to_beam
+from onebend.recording.signals import from_clamp
+from onebend.records import Array, BoolArray, Markers, Remark
 
 # Flipped signs and swapped axes are the commonest mistakes. The moment of the force about a place turns a clamped
 # passive beam there in the sense of the moment, and a larger moment turns it more. A log that contradicts this has
@@ -166,6 +163,17 @@ def axes_words(reading: Reading, rotation: float, *, key: str = "columns") -> st
     return f"The force contradicts the bending. In [force], check {key}, rotation_deg and acts_on."
 
 
+def spans(markers: Markers, rest: RestShape, push_s: Array) -> tuple[Array, Array]:
+    """(T, k) rad turn since rest, and (T, k, 2) m lever from its middle to the push, of each span between tags."""
+    s, xy, bend = from_clamp(markers.s, markers.xy, markers.angle - rest.angle)
+    push = np.stack(
+        [[np.interp(place, s, row[:, k]) for place, row in zip(push_s, xy, strict=True)] for k in (0, 1)], axis=1
+    )
+    inner = np.flatnonzero(s[1:] <= np.nanmin(push_s) + 1e-9)
+    middle = 0.5 * (xy[:, inner] + xy[:, inner + 1])
+    return bend[:, inner + 1] - bend[:, inner], push[:, None] - middle
+
+
 def turn_beyond(markers: Markers, rest: RestShape, push_s: Array, loaded: BoolArray) -> tuple[float, float]:
     """rad: the largest turn against each other of two tags that both sit beyond the push, and of any tag, since rest.
 
@@ -180,162 +188,6 @@ def turn_beyond(markers: Markers, rest: RestShape, push_s: Array, loaded: BoolAr
     if not np.isfinite(between).any():
         return 0.0, 0.0
     return float(np.nanpercentile(between, MOST)), float(np.nanpercentile(np.nanmax(np.abs(bend), axis=1), MOST))
-
-
-def spans(markers: Markers, rest: RestShape, push_s: Array) -> tuple[Array, Array]:
-    """(T, k) rad turn since rest, and (T, k, 2) m lever from its middle to the push, of each span between tags."""
-    s, xy, bend = from_clamp(markers.s, markers.xy, markers.angle - rest.angle)
-    push = np.stack(
-        [[np.interp(place, s, row[:, k]) for place, row in zip(push_s, xy, strict=True)] for k in (0, 1)], axis=1
-    )
-    inner = np.flatnonzero(s[1:] <= np.nanmin(push_s) + 1e-9)
-    middle = 0.5 * (xy[:, inner] + xy[:, inner + 1])
-    return bend[:, inner + 1] - bend[:, inner], push[:, None] - middle
-
-
-def read_log(rec: Recording) -> ForceLog | None:
-    """The force log, where the recording has one."""
-    if rec.force is None:
-        return None
-    if rec.force.topic:
-        return read_bag_force(rec.force)
-    column = rec.push.column if rec.push else ""
-    log = read_force_log(rec.force.file, rec.force.columns, column, time_unit=rec.force.time_unit)
-    return replace(log, remarks=(*log.remarks, *noise_remarks(log, rec.force.sensor, rec.force.white_sd)))
-
-
-def match_clocks(
-    rec: Recording, markers: Markers, log: ForceLog | None, base: BaseLog | None, settings: ClockSettings
-) -> ClockFit:
-    """The offset from the force, else from the base's turn, else as written; 0 where there is no second clock."""
-    stated, uncertainty = rec.start
-    if log is None and base is None:
-        start = stated if math.isfinite(stated) else 0.0
-        return ClockFit(ClockOffset(offset=start, sd=uncertainty, stated=stated, found=False), None)
-    fit = None
-    if log is not None and rec.force is not None:
-        check_pace(rec, markers, log)
-        in_frame, push_s = _turned(log, rec.force), push_place(rec, log)
-        fit = fit_clock(markers, in_frame, stated, uncertainty, push_s=push_s, settings=settings)
-    exact = uncertainty == 0.0 and math.isfinite(stated)
-    if exact and fit is None:
-        fit = ClockFit(ClockOffset(offset=stated, sd=0.0, stated=stated, found=True), None)
-    if base is not None and (fit is None or not fit.clock.found):
-        base_offset = base_clock(markers, base, stated, uncertainty, margin=settings.margin)
-        if base_offset.found or fit is None:
-            fit = ClockFit(base_offset, None)
-    assert fit is not None
-    if not math.isfinite(fit.clock.offset):
-        raise ObservationError(
-            f"{rec.name}: nothing says when the film (or the tracks) starts on the log's clock, and the data do not "
-            "show it. Write start_s in recording.toml.",
-            about="clock",
-        )
-    times = log.time if log is not None else base.time if base is not None else markers.time
-    check_overlap(markers, times, fit.clock.offset, "force log" if log is not None else "base angle log")
-    return fit
-
-
-def without_slow_sensor(
-    rec: Recording, markers: Markers, log: ForceLog | None, fit: ClockFit, clock: ClockSettings, force: ForceSettings
-) -> tuple[ForceLog | None, tuple[Remark, ...]]:
-    """The log, where its sensor is slow as one that is not would have written it, with a warning; else as it is."""
-    if log is None or rec.force is None:
-        return log, ()
-    lag = slow_sensor(markers, _turned(log, rec.force), fit.clock, push_s=push_place(rec, log), settings=clock)
-    if lag is None:
-        return log, ()
-    text = (
-        f"The force sensor is slow: its log follows the force with a time constant of about {lag.tau:.2g} s, which "
-        "makes every peak too low and k(s) too small. This was undone, as well as the log allows. Switch the "
-        "sensor's filter off, or push more slowly."
-    )
-    cutoff = choose_cutoff(bandwidth(markers.time, displacements(markers)), force)
-    return without_lag(log, lag.tau, cutoff), (Remark("warning", text, about="clock"),)
-
-
-def _turned(log: ForceLog, entry: ForceEntry) -> ForceLog:
-    """The log in the beam's frame."""
-    return replace(log, force=log.force @ to_beam(entry.rotation))
-
-
-def check_pace(rec: Recording, markers: Markers, log: ForceLog) -> None:
-    """Raise where the log has too few rows during the film: its times are in another unit, or it is too sparse."""
-    film, spacing = float(np.ptp(markers.time)), step(log.time)
-    if spacing * FEWEST_ROWS > film:
-        raise ObservationError(
-            f"{rec.name}: the force log has a row every {spacing:.3g} s, fewer than {FEWEST_ROWS} during the film of "
-            f"{film:.3g} s. Times must be in seconds: for milliseconds write "
-            'time_unit = "ms" in [force]. Or log more often.',
-            about="unit",
-        )
-
-
-def push_place(rec: Recording, log: ForceLog) -> float | None:
-    """Where the force acts, if that stays the same to 2 % of the beam and no weight bends it too; else None."""
-    if rec.gravity is not None:
-        return None
-    if log.push_s is None:
-        return rec.push.at if rec.push else None
-    return float(np.median(log.push_s)) if float(np.ptp(log.push_s)) < 0.02 else None
-
-
-def cleaned(
-    rec: Recording, markers: Markers, log: ForceLog, contact: Contact, fit: ClockFit, settings: ForceSettings
-) -> CleanForce:
-    """The force on the beam, its cut-off from the markers' motion and its zero from the rests."""
-    assert rec.force is not None
-    offset = fit.clock.offset
-    clean = clean_force(
-        log,
-        [(low + offset, high + offset) for low, high in contact.rests],
-        rotation=rec.force.rotation,
-        acts_on=rec.force.acts_on,
-        cutoff=choose_cutoff(bandwidth(markers.time, displacements(markers)), settings),
-        noise=fit.noise,
-        settings=settings,
-    )
-    refuse_other_unit(clean.force, rec.beam.mass, rec.name)
-    return replace(clean, remarks=(*clean.remarks, *size_remarks(clean.force, rec.beam.mass)))
-
-
-def pair(
-    rec: Recording, clean: CleanForce | None, time: Array, *, epsilon: float | None, settings: ForceSettings
-) -> tuple[Array, Array]:
-    """(T, 2) N force and (T,) place of the push at the times `time` [s, log's clock]; NaN where the log is silent.
-
-    Interpolated, or of the nearest row of the log that is within `epsilon` [s]. Without a log the force is zero."""
-    count = len(time)
-    if clean is None:
-        return np.zeros((count, 2)), np.full(count, np.nan)
-    place = np.full(count, rec.push.at if rec.push else math.nan)
-    if epsilon is not None:
-        after = np.clip(np.searchsorted(clean.time, time), 1, len(clean.time) - 1)
-        row = np.where(time - clean.time[after - 1] < clean.time[after] - time, after - 1, after)
-        close = np.abs(clean.time[row] - time) <= epsilon
-        force = np.where(close[:, None], clean.force[row], np.nan)
-        return force, place if clean.push_s is None else clean.push_s[row]
-    if clean.push_s is not None:
-        limit = gap_limit(clean.time, clean.cutoff, settings)
-        place = at_times(clean.time, clean.push_s[:, None], time, longest_gap=limit)[:, 0]
-    return force_at(clean, time, settings=settings), place
-
-
-def usable(markers: Markers, force: Array) -> tuple[BoolArray, tuple[Remark, ...]]:
-    """(T,) frames with a force and at least one marker, and remarks on the others."""
-    has_force: BoolArray = np.isfinite(force).min(axis=1)
-    has_marker: BoolArray = np.isfinite(markers.xy).min(axis=-1).max(axis=1)
-    remarks = [
-        Remark("note", f"{int(np.sum(~good))} of {len(good)} frames {why}; left out.")
-        for good, why in ((has_force, "lie outside the force log or in its gaps"), (has_marker, "show no marker"))
-        if not good.all()
-    ]
-    good: BoolArray = np.asarray(has_force & has_marker)
-    if not good.any():
-        raise ObservationError(
-            "No frame has both a marker and a force. Check the film, the log and start_s.", about="no overlap"
-        )
-    return good, tuple(remarks)
 
 
 def check_direction(

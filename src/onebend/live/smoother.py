@@ -1,0 +1,336 @@
+"""The state of a live learner: key frames, their posterior and the sizes of noise, renewed with every frame."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from onebend.beam.stiffness import Profile, UncertainStiffness
+from onebend.errors import LearningError
+from onebend.learning.force_error import sized, spanned_error
+from onebend.learning.hyperparameters import CHOSEN, SPREAD, averaged_posterior, likeliest
+from onebend.learning.linear import Hyperparameters, RecordingNoise
+from onebend.learning.normal import Draws
+from onebend.learning.optimizer import starting
+from onebend.learning.parameters import Layout
+from onebend.live import key_frames
+from onebend.live.hyperparameters import OnlineSettings, StiffnessChains, expected_error
+from onebend.live.key_frames import CheckedFrame, CourseSoFar, LoadStages, expect_shape, write_frame
+from onebend.live.model import MOST_NODES, Lineariser, LiveSession, problem_of
+from onebend.live.posterior import (
+    KeyFramePosterior,
+    information,
+    marginalise_oldest,
+    model_of,
+    nothing_marginalised,
+    spans_of,
+)
+from onebend.live.residuals import (
+    FAR_OFF,
+    key_frame_doubts,
+    misfit,
+    missed_tag,
+    robust_weights,
+    surprise,
+    tag_noise_size,
+    tag_residuals,
+)
+from onebend.records import Array, BoolArray, ForceNoise
+from onebend.report.sentences import say
+
+_EXACT = 1e-12  # of the largest variance of a start: smaller ones are rounding
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where the learner begins."""
+
+    x: Array  # (n,)
+    level: float  # prior mean of log k
+    stiffness: tuple[Array, Array] | None  # see `FitProblem`
+
+
+def start_of(layout: Layout, start: Profile | float | UncertainStiffness) -> Start:
+    if not isinstance(start, UncertainStiffness):
+        x, level = starting(layout, start)
+        return Start(x, level, None)
+    x, p = np.zeros(layout.size), layout.spline.count
+    if len(start.mean) < p:
+        raise LearningError(
+            f"the stiffness to go on from has {len(start.mean)} functions, fewer than the {p} of the settings: "
+            "fit it with more, or go on with fewer"
+        )
+    s = np.linspace(0.0, 1.0, 8 * len(start.mean))
+    onto = np.linalg.lstsq(layout.spline.basis(s), start.basis(s), rcond=None)[0]
+    offset = np.zeros(p) if start.offset is None else layout.spline.nearest(start.offset)
+    x[:p] = onto @ start.mean + offset
+    size, ways = np.linalg.eigh(onto @ start.covariance @ onto.T)
+    root = np.asarray(np.linalg.qr((ways * np.sqrt(np.maximum(size, _EXACT * size[-1]))).T, mode="r")).T
+    return Start(x, float(np.mean(x[:p])), (x[:p], root))
+
+
+_MOVED = 0.5  # posterior sd: a larger distance from the linearisation point moves that point
+_MANY = 6  # key frames linearised with one frame: after more, nothing else is done in that update
+_LOOK, _LAST_LOOK = (10, 0.05), (60, 0.5)  # evaluations of the evidence, and sd: in one look, and after a push
+_WHITE_SPREAD = 0.7  # sd of the log of the force error's white part
+_SETTLED_STEPS = 40  # of the chains, after a push
+_DRAWS = Draws(chains=1, burn=5, kept=15, shaped=False)  # for a reading, of each node of the cubature
+_TURNS = 8  # of so many updates without a solution one looks for a missed tag, one counts the effective parameters
+
+
+class Smoother:
+    """All state of a live learner; its size is fixed when it is made."""
+
+    def __init__(self, session: LiveSession, start: Start, settings: OnlineSettings) -> None:
+        tags, n = len(session.observations.marker_s), session.layout.size
+        self.x = start.x  # (n,) the estimate
+        self.point = start.x  # (n,) where all frames are linearised, or their mismatch would look like information
+        self.keys = key_frames.empty(settings.key_frames, tags, n, MOST_NODES, session.terms.count)
+        self.marginalised = nothing_marginalised(n)
+        self._session, self._start, self._settings = session, start, settings
+        spline, noise = session.layout.spline, RecordingNoise(settings.marker_noise, settings.force.white)
+        parts = spline.variances(settings.roughness, settings.steps)
+        self.hyperparameters = Hyperparameters(parts, 1.0, 1.0, 1.0, 1.0, (noise,))
+        drawn = settings.adapt and start.stiffness is None
+        self._chains = StiffnessChains(spline, start.level, settings.roughness, settings.steps) if drawn else None
+        self._stages, self._course = LoadStages(session.length, tags), CourseSoFar(session.course, session.terms)
+        self._spent = 0.0
+        self._turns = 0
+        self._linearised = 0  # key frames linearised in the last update
+        self.misfit = 0.0  # of the tags, over their covariances; 0 while it is no more than noise
+        self._failed = False  # whether the last solution failed
+        self._missed = ""  # what `missed_tag` returned last
+        self._too_soft = False  # whether the last frame had no equilibrium
+        self.pending = True  # whether a frame has come since the last solution
+        self._lineariser = Lineariser(session)
+        self._away = np.zeros(tags, dtype=np.int64)
+        self._largest = 0.0
+        self._expected = np.zeros(2), np.zeros(0), 0.0  # force error of the last frame, before its tags count
+        self.solution = self._solve()
+
+    @property
+    def marker(self) -> float:
+        """Size of the tags' noise, over their covariances."""
+        return self.hyperparameters.noise[0].marker
+
+    def enter(self, frame: CheckedFrame, rate: Array) -> bool:
+        """Add the frame as the last key frame, linearised; False where it has no equilibrium and is left out.
+
+        Also linearise the stale key frames that have waited longest, and average or marginalise others to make room.
+        """
+        keys = self.keys
+        self._stages.add_frame(frame.time, frame.measured[:, :2], frame.visible, frame.loaded)
+        i = self._write(frame, rate)
+        over = 0 if self.pending else keys.used - self._settings.key_frames  # an update that solves does no averaging
+        pairs = key_frames.closest_pairs(keys, i, self._largest, self._stages.own(keys.centre), over)
+        fresh = [i]
+        for slot, pair in enumerate(pairs, keys.used):
+            key_frames.propose_average(keys, pair, slot)
+            fresh += [slot, *(k for k in (pair, pair + 1) if keys.stale[k])]
+        if keys.stale[0] and 0 not in fresh and keys.used - len(pairs) > self._settings.key_frames + 1:
+            fresh.append(0)  # it is marginalised next, with the linearisation that it has then
+        room = 1 if self.pending else self._settings.renewed - len(fresh) + 1
+        waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][: max(room, 0)]
+        solved = self._linearise([*fresh, *self._lineariser.near(keys, waiting, i)])
+        self._too_soft = i not in solved
+        if self._too_soft:
+            keys.used -= 1
+            return False
+        if frame.loaded:
+            self._largest = max(self._largest, float(np.linalg.norm(frame.force)))
+        missed = set(fresh) - solved
+        for pair, slot in sorted(zip(pairs, range(keys.used, keys.used + len(pairs)), strict=True), reverse=True):
+            if missed.isdisjoint((pair, pair + 1, slot)):
+                key_frames.accept_average(keys, pair, slot, self.point)
+        while keys.used > self._settings.key_frames + 1:
+            marginalise_oldest(keys, self.marginalised, self._process, max(self.marker, self.misfit), self._stages.own)
+        return True
+
+    def _linearise(self, chosen: list[int]) -> set[int]:
+        """Linearise the chosen key frames; returns those that have an equilibrium. The others count as lost."""
+        self._linearised = len(chosen)
+        solved = self._lineariser.renew(self.keys, chosen, self.point)
+        gone = [k for k in chosen if k not in solved]
+        self.keys.lost[gone], self.keys.stale[gone] = True, False
+        return solved
+
+    def _write(self, frame: CheckedFrame, rate: Array) -> int:
+        """Write the frame behind the key frames in use; returns its index."""
+        course, stages, angle, tags = self._course, self._stages, frame.measured[:, 2], frame.visible
+        if frame.loaded:
+            bend, back = stages.displacement / self._session.length, stages.falling
+            terms = course.terms(angle, tags, frame.force, frame.push_s, bend=bend, back=back)
+        else:
+            terms = course.rest(angle, tags)
+        keys, i = self.keys, write_frame(self.keys, frame, rate, terms)
+        if frame.loaded:
+            self._lineariser.pushed_at(frame.push_s)
+        now = float(self._stages.own(np.array([frame.time]))[0])
+        self._expected = self.solution.predicted_error(frame.time, now)
+        expect_shape(keys, i, self._expected[0])
+        return i
+
+    def gate(self, frame: CheckedFrame) -> tuple[Array, Array, BoolArray]:
+        """Innovation (m, 3) of the last key frame, its distance (m,) in sd, and which tags are used.
+
+        A tag too far from where it was expected gets no weight, unless that lasts for some frames.
+        """
+        keys, i = self.keys, self.keys.used - 1
+        innovation, distance = surprise(keys, frame, self.solution, self.x, self.marker, self._expected[1:])
+        far = frame.visible & (distance > self._settings.gate)
+        self._away = np.where(far, self._away + 1, np.where(frame.visible, 0, self._away))
+        used = np.asarray(frame.visible & (~far | (self._away >= self._settings.patience)))
+        keys.weight[i] = used
+        if not np.array_equal(used, frame.visible):
+            keys.information[i] *= used[:, None, None]
+            keys.root[i] *= used[:, None, None]
+            keys.whiten(i)
+        innovation[~frame.visible], distance[~frame.visible] = np.nan, np.nan
+        return innovation, distance, used
+
+    def advance(self) -> None:
+        """After a frame: every other update solves for the posterior. The updates between take one step of the chains
+        or seek other hyperparameters; after many linearisations they do neither, so that all updates cost alike.
+        """
+        if self.pending or self._failed:
+            self.pending = False
+            self.renew()
+            return
+        self.pending = True
+        if self._linearised > _MANY:
+            return
+        self._turns += 1
+        if self._turns % _TURNS == 0:
+            self._missed = missed_tag(self.keys)
+        elif self._turns % 2 and self._chains is not None:
+            if self.misfit == 0.0:
+                self._chains.step(self.solution.stiffness_form)
+        elif self._settings.adapt and self._turns % _TURNS == 2:
+            self._spent = self.solution.effective_parameters
+        elif self._settings.adapt and self._turns % _TURNS == 4:
+            self.look_about(*_LOOK)
+
+    def look_about(self, evaluations: int, stride: float) -> None:
+        """Seek better sizes of the force error in the last solution's evidence, near those of now: see `likeliest`."""
+        with suppress(np.linalg.LinAlgError):
+            model = self.solution.model
+            chosen = likeliest(model.evidence, self.hyperparameters, evaluations, stride)
+            self.solution, self.hyperparameters = model.posterior(chosen), chosen
+
+    def renew(self) -> bool:
+        """Solve for the posterior, move the estimate, and renew the robust weights. False where the solution fails: the
+        last one stays, and `doubts` says so until a later one succeeds."""
+        keys, settings = self.keys, self._settings
+        if self._chains is not None:
+            self.hyperparameters = replace(self.hyperparameters, part_variances=self._chains.parts)
+        self.misfit = misfit(keys, self.marker)
+        try:
+            self.solution = solution = self._solve()
+        except np.linalg.LinAlgError:
+            self._failed = True
+            return False
+        self._failed = False
+        step = solution.x - self.x
+        largest = max(float(np.max(np.abs(step[: self._session.layout.spline.count]))), 1e-300)
+        self.x = self.x + step * min(1.0, settings.step / largest)
+        residual = tag_residuals(keys, solution)
+        if settings.adapt:
+            marker = tag_noise_size(keys, residual, self._spent, settings.marker_noise)
+            noise = replace(self.hyperparameters.noise[0], marker=marker)
+            self.hyperparameters = replace(self.hyperparameters, noise=(noise,))
+        marker = max(self.marker, self.misfit)
+        keys.weight[: keys.used] = robust_weights(keys, residual, marker, settings.bulk)
+        fresh = not np.any(keys.stale[: keys.used])
+        if fresh and solution.distance(keys.error[: keys.used], self.x - self.point) > _MOVED:
+            self.move()
+        return True
+
+    def _solve(self) -> KeyFramePosterior:
+        """The posterior over the key frames as they are; a misfit beyond the tags' noise counts as noise."""
+        keys, settings, session = self.keys, self._settings, self._session
+        spans = spans_of(keys, self.marginalised, self._stages.own)
+        expected = replace(self.hyperparameters, coloured=1.0, memory=1.0, walk=1.0, load=1.0, white=1.0)
+        error, start = spanned_error(self._expected_error, spans), (self._start.level, self._start.stiffness)
+        p, marker = session.layout.spline.count, max(self.marker, self.misfit)
+        form = information(keys, self.marginalised, p, marker=marker, white=self._process.white)
+        spread = np.where(np.array(CHOSEN) == "memory", settings.memory_doubt, np.append(SPREAD, _WHITE_SPREAD))
+        model = model_of(form, self.nuisance_sd, problem_of(session, error, start, expected), spread)
+        return model.posterior(self.hyperparameters)
+
+    @property
+    def _process(self) -> ForceNoise:
+        """The force's error, as it is now."""
+        return sized(self._expected_error, *self.hyperparameters.of_force)
+
+    @property
+    def _expected_error(self) -> ForceNoise:
+        return expected_error(self._settings, self._largest, self.misfit > FAR_OFF * self.marker)
+
+    def catch_up(self) -> None:
+        """Solve now if a frame has come since the last time."""
+        if self.pending and self.keys.used:
+            self.renew()
+            self.pending = False
+
+    def settle(self, rounds: int) -> None:
+        """Linearise all key frames and solve, several times; then try other hyperparameters for two rounds."""
+        self.catch_up()
+        if self._failed and not self.renew():  # its force errors belong to other key frames
+            return
+        for _ in range(rounds):
+            self.move()
+            self._linearise(list(range(self.keys.used)))
+            if not self.renew():
+                return
+        if self._settings.adapt:
+            for _ in range(_SETTLED_STEPS):
+                if self._chains is not None:
+                    self._chains.step(self.solution.stiffness_form)
+            self.look_about(*_LAST_LOOK)
+
+    def move(self) -> None:
+        """Make the present estimate the linearisation point."""
+        keys = self.keys
+        self.point = self.x
+        keys.error[: keys.used] = self.solution.e[len(self.solution.e) - keys.used :]
+        keys.stale[: keys.used] = True
+
+    def stiffen(self, amount: float) -> None:
+        """Raise log k by `amount` and linearise there: the beam withstood a force that the estimate cannot."""
+        self.x = self.x.copy()
+        self.x[: self._session.layout.spline.count] += amount
+        self.point = self.x
+        self.keys.stale[: self.keys.used] = True
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Reasons not to rely on the posterior as it is now; usually none."""
+        self._missed = missed_tag(self.keys)
+        return self.last_doubts
+
+    @property
+    def last_doubts(self) -> tuple[str, ...]:
+        """The same, with the missed tag of the last look for one."""
+        reasons = {"live: failed": self._failed, "live: too soft": self._too_soft}
+        own = key_frame_doubts(self.keys, self.marker, self.misfit, self._missed)
+        return (*(say(code) for code, holds in reasons.items() if holds), *own)
+
+    def posterior(self) -> tuple[Array, Array, Array]:
+        """(n,) and (n, n) of the parameters, and mean steps (p - 1,) of log k, averaged over the hyperparameters."""
+        solution, p = self.solution, self._session.layout.spline.count
+        k, covariance, steps = solution.x[:p], solution.solved.pair(0)[:p, :p], np.zeros(p - 1)
+        if self._settings.adapt:
+            sizes, evidence = self.hyperparameters, solution.model.evidence
+            sizes = replace(sizes, chains=None if self._chains is None else self._chains.stand)
+            of_others = replace(evidence, spread=evidence.spread[: len(SPREAD)])  # the white part keeps its size
+            stiffness, _ = averaged_posterior(of_others, sizes, [{}], _DRAWS)
+            k, covariance, steps = stiffness.mean, stiffness.covariance, stiffness.steps
+        x, covariance = solution.given_stiffness(k), solution.covariance(covariance)
+        return *self._lineariser.secant(self.keys, self.point, x, covariance), steps
+
+    @property
+    def nuisance_sd(self) -> Array:
+        """(n - p,) one sd before the data of all parameters but log k's coefficients."""
+        return self._session.other_sd(self._largest, self._stages.largest / self._session.length)

@@ -1,0 +1,394 @@
+"""What a film tells of the force without a model of the beam: features of the markers in time, for the clock search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
+
+import numpy as np
+from scipy.interpolate import CubicSpline, PPoly
+
+from onebend.recording.force_noise import LoadChange, load_changes
+from onebend.recording.signals import MAD_TO_SD, bandwidth, bridged, from_clamp, runs, step
+from onebend.records import Array, BoolArray, IntArray, Markers
+
+
+@dataclass(frozen=True)
+class ClockSettings:
+    """How the offset is searched."""
+
+    margin: float = 2.0  # s, searched beyond the stated offset and its uncertainty
+    corrections: tuple[float, ...] = (0.01, 0.001)  # prior sds, tried in turn, of what corrects the levers
+    most_rows: int = 250  # of the log, after averaging
+    most_frames: int = 4000  # of the film; where there are more, neighbours are averaged: some sixteen a row are left
+    sharp_rows: int = 120  # of these, for the model by the spans' moments
+    slowest: float = 5.0  # rows per second at least
+    longest_gap: float = 0.25  # s, a marker missing longer is not interpolated
+    steps: float = 0.3  # of the largest force: sd of a log's error that changes where the load begins, reverses, ends
+    hold: float = 2.0  # s before (after) the film for which a beam at rest in its first (last) frames stays so
+
+
+# Features on which the clock search regresses the force:
+# - Levers: the moment of the force about the middle of a span is proportional to the span's turn. So F = sum_i k_i f_i
+#   with f_i = (A^T A + ridge)^-1 A^T e_i turn_i, A the levers (moment = A F) and k_i one stiffness per span. The ridge
+#   bounds the force along a straight beam.
+# - Polynomials of the leading principal components: any smooth function of the shape. They correct the levers, or stand
+#   alone where the place of the push is not known or the beam swings.
+# - Moments: the turn of a span is `F . integral of w(s) a(s) ds` with w = 1 / k and a the lever of a unit force about
+#   s, exact for a beam that moves slowly. Of w, the mean over the span and the slope are used.
+
+FREE = 10.0  # prior sd of the log's bias and of a stiffness, per largest force: free
+RIDGE = 0.01  # of the longest lever squared
+SHORTEST_SPAN = 0.05  # of the beam: a shorter span between a tag and the push does not count
+TERMS = (2.0, 0.5, 0.25)  # prior sd of a polynomial's coefficient by degree, per largest force
+TOUCHED = 0.02  # of the largest displacement: a smaller one counts as rest
+PARTS = 5  # into which a change of the load is divided; the log's error may change in each
+SLACK = 0.2  # s, by which the log's error may change before or after the load does
+FEWEST_SPANS = 2  # that end at or before the push
+STILL = 10  # first and last frames in which the beam may be at rest
+FEWEST = 10  # frames, and rows of the log
+LOAD_DOUBT = 0.05  # s, sd of the offset from not knowing when the log's error changes with the load
+
+
+@dataclass(frozen=True)
+class Track:
+    """Features in time, to be averaged over any span."""
+
+    integral: PPoly  # antiderivative of the features, (2 axes, p)
+    covered: BoolArray  # (T,) frames whose features are known
+    time: Array  # (T,) s, video clock
+    before: float  # s before the film for which its first frames are taken to hold
+    after: float  # s after the film for which its last frames are taken to hold
+    doubt: float = 0.0  # s, sd of an offset found by it, beside what its evidence says
+
+    @property
+    def duration(self) -> float:
+        """s, of the film."""
+        return float(self.time[-1] - self.time[0])
+
+    def mean(self, centre: Array, width: float) -> Array:
+        """(N, 2, p) features averaged over `width` [s] around every `centre`; NaN where the film does not cover it."""
+        first_centre, last_centre = self.time[0] + width / 2, self.time[-1] - width / 2
+        outside = (centre < first_centre - self.before) | (centre > last_centre + self.after)
+        centre_held = np.where(outside, centre, np.clip(centre, first_centre, last_centre))
+        low, high = centre_held - width / 2, centre_held + width / 2
+        average = np.asarray((self.integral(high) - self.integral(low)) / width)
+        holes = np.concatenate([[0], np.cumsum(~self.covered)])
+        first, last = np.searchsorted(self.time, low), np.searchsorted(self.time, high)
+        inside = (low >= self.time[0] - 1e-9) & (high <= self.time[-1] + 1e-9)
+        full = holes[np.minimum(last + 1, len(self.time))] == holes[np.maximum(first - 1, 0)]
+        average[~(inside & full)] = np.nan
+        return average
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Turns and levers of k spans in time, to be averaged over any span of time."""
+
+    track: Track  # features (k, 5): turn, mean of the lever, its first Legendre moment
+    tangent: Track  # (2,), change of all levers with the place of the push
+    steps: Track  # (n,) ramps over the changes of the load
+    noise: Array  # (k,) rad, one sd of a turn in one frame
+    largest: Array  # (k,) rad
+
+
+@dataclass(frozen=True)
+class FilmFeatures:
+    """All features of a film."""
+
+    time: Array  # (T,) s, of the frames; where there are too many, of means of neighbours
+    rate: float  # Hz, bandwidth of the motion; NaN where nothing moves
+    tracks: tuple[Track, ...]  # sets for the regression, the largest first
+    moments: Moments | None
+
+
+def film_features(markers: Markers, push_s: float | None, settings: ClockSettings) -> FilmFeatures:
+    """The features of the markers; without levers and moments where the place of the push `push_s` is not known."""
+    rate = motion_rate(markers)
+    markers = averaged(markers, settings.most_frames)
+    seen = gapless(markers, settings)
+    if seen is None or seen.covered.sum() < FEWEST:
+        return FilmFeatures(markers.time, rate, (), None)
+    polynomials, turns = monomials(seen.xy, seen.angle), None if push_s is None else levers(seen, push_s)
+    sets = [regressors(polynomials, None)]
+    if turns is not None and turns.shape[-1]:
+        sets = [*(regressors(scale * polynomials, turns) for scale in settings.corrections), *sets]
+    tracks = [seen.track(values) for values in sets]
+    with_load = np.concatenate([sets[0], load_errors(seen, settings.steps)], axis=2)
+    tracks.append(replace(seen.track(with_load), doubt=LOAD_DOUBT))
+    return FilmFeatures(markers.time, rate, tuple(tracks), None if push_s is None else make_moments(seen, push_s))
+
+
+def motion_rate(markers: Markers) -> float:
+    """Hz, bandwidth of the markers' motion; NaN where nothing moves."""
+    flat = markers.xy.reshape(len(markers.time), -1)
+    flat = flat[:, np.isfinite(flat).any(axis=0)]
+    return bandwidth(markers.time, flat - np.nanmedian(flat, axis=0)) if flat.size else float("nan")
+
+
+def averaged(markers: Markers, most: int) -> Markers:
+    """The markers in at most `most` frames, each the mean of equally many neighbours; missing where half are."""
+    size = -(-len(markers.time) // most)
+    if size == 1:
+        return markers
+    count = len(markers.time) // size
+
+    def mean(values: Array) -> Array:
+        blocks = values[: count * size].reshape(count, size, *values.shape[1:])
+        seen = np.isfinite(blocks)
+        known = np.sum(seen, axis=1)
+        total = np.sum(np.where(seen, blocks, 0.0), axis=1)
+        return np.where(2 * known > size, total / np.maximum(known, 1), np.nan)
+
+    return replace(
+        markers,
+        time=mean(markers.time),
+        xy=mean(markers.xy),
+        angle=mean(markers.angle),
+        covariance=mean(markers.covariance) / size,
+        base_angle=mean(markers.base_angle),
+        by_camera=None if markers.by_camera is None else mean(markers.by_camera),
+    )
+
+
+@dataclass(frozen=True)
+class GaplessMarkers:
+    """The clamp and the markers that are missing least, in order, without gaps."""
+
+    time: Array  # (T,) s
+    s: Array  # (m,)
+    xy: Array  # (T, m, 2) m
+    angle: Array  # (T, m) rad
+    covered: BoolArray  # (T,) frames outside long gaps
+    before: float  # s before the film for which its first frames are taken to hold
+    after: float  # s after the film
+
+    def track(self, values: Array) -> Track:
+        """`values` (T, ...) as features."""
+        spline = CubicSpline(self.time, values, axis=0)
+        return Track(spline.antiderivative(), self.covered, self.time, self.before, self.after)
+
+
+def gapless(markers: Markers, settings: ClockSettings) -> GaplessMarkers | None:
+    """The markers; None where none is seen. A beam at rest at an end of the film stays so for `settings.hold`."""
+    used, covered = lasting(markers, settings.longest_gap)
+    if not used.any():
+        return None
+    markers, count = without_jumps(markers), len(markers.time)
+    flat = bridged(markers.time, markers.xy[:, used].reshape(count, -1))
+    angle = bridged(markers.time, markers.angle[:, used])
+    places = from_clamp(markers.s[used], flat.reshape(count, -1, 2), angle)
+    ends = (slice(0, STILL), slice(-STILL, None))
+    before, after = (settings.hold if is_still(flat, rows) else 0.0 for rows in ends)
+    return GaplessMarkers(markers.time, *places, covered, before, after)
+
+
+def lasting(markers: Markers, longest_gap: float) -> tuple[BoolArray, BoolArray]:
+    """(m,) the markers with the fewest frames in long gaps, and (T,) frames where none of these has a long gap."""
+    missing = ~(np.isfinite(markers.xy).all(axis=-1) & np.isfinite(markers.angle))
+    long = np.zeros_like(missing)
+    for i, column in enumerate(missing.T):
+        for start, stop in runs(column):
+            edge = start == 0 or stop == len(column)
+            if edge or markers.time[stop] - markers.time[start - 1] > longest_gap:
+                long[start:stop, i] = True
+    frames_missing = long.sum(axis=0)
+    used = (frames_missing <= frames_missing.min()) & (frames_missing < len(long))
+    return np.asarray(used), np.asarray(~long[:, used].any(axis=1))
+
+
+def without_jumps(markers: Markers) -> Markers:
+    """Markers without single frames that are far from the cubic through the two frames before and the two after."""
+    state = np.concatenate([markers.xy, markers.angle[..., None]], axis=-1)
+    if len(state) < 9:
+        return markers
+    off = np.zeros_like(state)
+    off[2:-2] = state[2:-2] - (4 * (state[1:-3] + state[3:-1]) - state[:-4] - state[4:]) / 6
+    size = np.abs(off) / np.maximum(MAD_TO_SD * np.nanmedian(np.abs(off), axis=0), np.finfo(float).tiny)
+    size = np.nan_to_num(size).max(axis=-1)
+    peak = np.maximum(np.roll(size, 1, axis=0), np.roll(size, -1, axis=0)) <= size
+    state[(size > 8.0) & peak] = np.nan  # robust sd, of a pose that is read wrongly
+    return replace(markers, xy=state[..., :2], angle=state[..., 2])
+
+
+def is_still(moved: Array, rows: slice) -> bool:
+    """Whether nothing moves in `rows` of (T, c) displacements: less than 0.2 % of the whole motion, or noise."""
+    window = moved[rows]
+    half = len(window) // 2
+    change = np.abs(window[half:].mean(axis=0) - window[:half].mean(axis=0))
+    noise = np.std(np.diff(moved, n=2, axis=0)[rows], axis=0)
+    return bool(np.all(change < np.maximum(2e-3 * np.ptp(moved, axis=0).max(), 2 * noise)))
+
+
+def regressors(polynomials: Array, turns: Array | None) -> Array:
+    """(T, 2, p) features of the force: a bias and `polynomials` (T, q) for each axis, and `turns` of `levers`."""
+    per_axis = np.concatenate([np.full((len(polynomials), 1), FREE), polynomials], axis=1)
+    columns = [np.stack([per_axis, 0 * per_axis], axis=1), np.stack([0 * per_axis, per_axis], axis=1)]
+    return np.concatenate(columns + ([] if turns is None else [FREE * turns]), axis=2)
+
+
+def load_errors(seen: GaplessMarkers, size: float) -> Array:
+    """(T, 2, p) features of an error of the log that changes with the load; `size`: prior sd, per largest force."""
+    ramps = [
+        np.clip(PARTS * change.fraction(seen.time) - i, 0.0, 1.0)
+        for change in changes_of_load(seen)
+        for i in range(PARTS)
+    ]
+    ramp = np.reshape(ramps, (len(ramps), len(seen.time))).T
+    return np.asarray((size / np.sqrt(PARTS) * ramp[:, None, :, None] * np.eye(2)[:, None]).reshape(len(ramp), 2, -1))
+
+
+def changes_of_load(seen: GaplessMarkers) -> list[LoadChange]:
+    """The changes of the load, by markers that rest in the first frames."""
+    moving = seen.xy[:, 1:]
+    size = np.sqrt(np.mean((moving - np.median(moving[:STILL], axis=0)) ** 2, axis=(1, 2)))
+    return load_changes(seen.time, size, size > TOUCHED * size.max())
+
+
+def monomials(xy: Array, angle: Array) -> Array:
+    """(T, p) products of the leading principal components of the displacements, each scaled to 1 at most."""
+    reach = float(np.abs(xy).max())
+    flat = np.concatenate([xy.reshape(len(xy), -1), 0.1 * reach * angle], axis=1)
+    flat = flat - flat[: max(5, len(flat) // 50)].mean(axis=0)
+    components, size, _ = np.linalg.svd(flat, full_matrices=False)
+    count = int(min(3, np.sum(size > 1e-9 * max(size[0], np.finfo(float).tiny))))  # principal components
+    if not count:
+        return np.empty((len(xy), 0))
+    scores = components[:, :count] / np.abs(components[:, :count]).max(axis=0)
+    terms = [
+        scale * np.prod(scores[:, list(which)], axis=1)
+        for degree, scale in enumerate(TERMS, start=1)
+        for which in combinations_with_replacement(range(count), degree)
+    ]
+    return np.stack(terms, axis=1)
+
+
+def levers(seen: GaplessMarkers, push_s: float) -> Array:
+    """(T, 2, p) force that gives each span up to the push its turn at unit stiffness; the largest scaled to 1.
+
+    Further features are the changes of the forces with each lever a quarter of the span before or behind the middle."""
+    s, xy, angle = seen.s, seen.xy, seen.angle
+    spans = np.flatnonzero(s[:-1] < push_s - SHORTEST_SPAN)
+    bend = angle - np.median(angle[:10], axis=0)
+    turns = bend[:, spans + 1] - bend[:, spans]
+    push = along(xy, angle, s, push_s)
+
+    def forces(part: Array) -> Array:
+        ends = np.minimum(s[spans + 1], push_s)
+        places = s[spans] + part * (ends - s[spans])
+        arms = push[:, None] - np.stack([along(xy, angle, s, place) for place in places], axis=1)
+        return unit_forces(arms, turns)
+
+    middle = np.full(len(spans), 0.5)
+    moved = np.abs(turns).max(axis=0, initial=0.0) > 0.02 * np.abs(turns).max(initial=0.0)
+    if not moved.any():
+        return np.empty((len(xy), 2, 0))
+    base = forces(middle)[..., moved]
+    size = np.abs(base).max(axis=(0, 1))
+    shifts = [forces(middle + 0.25 * unit) - forces(middle - 0.25 * unit) for unit in np.eye(len(spans))]
+    # Prior sd of the change with a span's lever, per largest force.
+    changes = [1.0 / FREE * shift[..., moved] / size for shift in shifts]
+    return np.concatenate([base / size, *changes], axis=2)
+
+
+def unit_forces(arms: Array, turns: Array) -> Array:
+    """(T, 2, k) the force of least ridge-weighted misfit whose moment over the `arms` (T, k, 2) is each of `turns`."""
+    rows = np.stack([-arms[..., 1], arms[..., 0]], axis=-1)
+    ridge = RIDGE * float((arms**2).sum(axis=-1).max())
+    inner = np.einsum("tia,tib->tab", rows, rows) + ridge * np.eye(2)
+    return np.asarray(np.linalg.solve(inner, rows.transpose(0, 2, 1)) * turns[:, None, :])
+
+
+def along(xy: Array, angle: Array, s: Array, place: float) -> Array:
+    """(T, 2) the place `place` on the beam: on the cubic through the two neighbouring tags with their directions.
+
+    The tangents have the length of the arc over the chord, so that the cubic of a circle is exact to 0.1 %.
+    """
+    i = int(np.clip(np.searchsorted(s, place) - 1, 0, len(s) - 2))
+    u = min((place - s[i]) / max(s[i + 1] - s[i], 1e-9), 1.0)
+    chord = xy[:, i + 1] - xy[:, i]
+    # sinc(x) = sin(pi x) / (pi x): arc over chord of a circle that turns by the two tags' difference.
+    arc = np.linalg.norm(chord, axis=1) / np.sinc(np.clip(angle[:, i + 1] - angle[:, i], -np.pi, np.pi) / (2 * np.pi))
+    ends = [arc[:, None] * np.stack([np.cos(a), np.sin(a)], axis=1) for a in (angle[:, i], angle[:, i + 1])]
+    return np.asarray(
+        (2 * u**3 - 3 * u**2 + 1) * xy[:, i]
+        + (3 * u**2 - 2 * u**3) * xy[:, i + 1]
+        + (u**3 - 2 * u**2 + u) * ends[0]
+        + (u**3 - u**2) * ends[1]
+    )
+
+
+def make_moments(seen: GaplessMarkers, push_s: float) -> Moments | None:
+    """Moments of the spans; None where fewer than `FEWEST_SPANS` whole spans before the push turn: most of the
+    information is then in the places of the tags beyond."""
+    if len(seen.time) < STILL:
+        return None
+    s, xy, angle = seen.s, seen.xy, seen.angle
+    spans = np.flatnonzero((s[:-1] < push_s - SHORTEST_SPAN) & (np.diff(s) > 0.0))
+    bend = angle - np.median(angle[:STILL], axis=0)
+    turns = bend[:, spans + 1] - bend[:, spans]
+    largest = np.abs(turns).max(axis=0, initial=0.0)
+    # Of the largest turn: a span that turns by less is not used.
+    good = (largest > 0.02 * largest.max(initial=0.0)) & (largest > 0.0)
+    if np.sum(good & (s[spans + 1] <= push_s + SHORTEST_SPAN)) < FEWEST_SPANS:
+        return None
+    spans, turns, largest = spans[good], turns[:, good], largest[good]
+    mean, slope, tangent = span_levers(xy, angle, s, spans, push_s)
+    noise = MAD_TO_SD * np.median(np.abs(np.diff(turns, n=2, axis=0)), axis=0) / np.sqrt(6.0)
+    return Moments(
+        seen.track(np.concatenate([turns[..., None], mean, slope], axis=-1)),
+        seen.track(np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)),
+        seen.track(load_change_ramps(seen)),
+        np.maximum(noise, 0.001 * largest),  # of a span's largest turn: least noise of the turn
+        largest,
+    )
+
+
+def span_levers(xy: Array, angle: Array, s: Array, spans: IntArray, push_s: float) -> tuple[Array, Array, Array]:
+    """(T, k, 2) m mean lever over each span, its first Legendre moment; and the beam's direction (T, 2) at the push."""
+    push = along(xy, angle, s, push_s)
+    beside = np.clip((push_s - s[:-1]) / np.maximum(np.diff(s), 1e-9), 0.0, 1.0)
+    direction = angle[:, 0] + np.diff(angle, axis=1) @ beside
+    x, weight = np.polynomial.legendre.leggauss(5)  # Gauss, on a span
+    ends = np.minimum(s[spans + 1], push_s)
+    lever = np.zeros((2, len(xy), len(spans), 2))
+    for node, share in zip(x, 0.5 * weight, strict=True):
+        places = s[spans] + 0.5 * (node + 1.0) * (ends - s[spans])
+        arm = push[:, None] - np.stack([along(xy, angle, s, place) for place in places], axis=1)
+        lever += share * np.array([1.0, node])[:, None, None, None] * np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
+    return lever[0], lever[1], np.stack([np.cos(direction), np.sin(direction)], axis=1)
+
+
+def load_change_ramps(seen: GaplessMarkers) -> Array:
+    """(T, n) ramps from 0 to 1 over each change of the load, in which the log's error may change."""
+    changes = changes_of_load(seen)
+    wide = [replace(change, begin=change.begin - SLACK, end=change.end + SLACK) for change in changes]
+    return np.reshape([change.fraction(seen.time) for change in wide], (len(wide), len(seen.time))).T
+
+
+def resting(track: Track) -> Track:
+    """The features with those seconds written out for which the beam, at rest in its last frames, stays so."""
+    apart = step(track.time)
+    more = track.time[-1] + apart * np.arange(1, int(track.after / apart) + 1)
+    if not len(more):
+        return track
+    time, value = np.append(track.time, more), track.integral.derivative()(track.time)
+    value = np.concatenate([value, np.broadcast_to(value[-1], (len(more), *value.shape[1:]))])
+    covered = np.append(track.covered, np.ones(len(more), dtype=bool))
+    return replace(
+        track, integral=CubicSpline(time, value, axis=0).antiderivative(), covered=covered, time=time, after=0.0
+    )
+
+
+def lagging(track: Track, tau: float) -> Track:
+    """The features behind a first-order filter of time constant `tau` [s], at rest before the film."""
+    if tau == 0.0:
+        return track
+    time, value = track.time, track.integral.derivative()(track.time)
+    out = np.empty_like(value)
+    out[0] = value[0]
+    for i, apart in enumerate(np.diff(time)):
+        slope = (value[i + 1] - value[i]) / apart
+        steady = value[i] - tau * slope  # the filter's output on this line, had it always run so
+        out[i + 1] = steady + apart * slope + np.exp(-apart / tau) * (out[i] - steady)
+    return replace(track, integral=CubicSpline(time, out, axis=0).antiderivative())
