@@ -467,7 +467,8 @@ class StatedError:
         labels = tuple(label.format(tag=tag) for tag in places for label in self.labels)
         sds = np.full(len(labels), sd, dtype=float)
         own = Allowance(self.name, "bench", self.unit, labels, sds, shared=self.shared)
-        return replace(own, sizes=TOLERATED, together=True)
+        by_hand = self.cause in (_TAGS, _CLAMP)  # made anew on every bench, and as far off as is stated
+        return own if by_hand else replace(own, sizes=TOLERATED, together=True)
 
 
 def clamp_sd(one: Observations) -> float:

@@ -16,7 +16,7 @@ from onebend.beam.model import Beam
 from onebend.beam.stiffness import SHAPE_PLACES, Band, Powers, Profile, Scaled, Table, UncertainStiffness, Uniform
 from onebend.errors import LearningError
 from onebend.learning import optimizer
-from onebend.learning.allowances import BETWEEN, BETWEEN_SD
+from onebend.learning.allowances import BETWEEN, BETWEEN_SD, SHARES
 from onebend.learning.attribution import Attribution, Contradiction, attributions, contradictions, doubt_of
 from onebend.learning.condensed import condensed
 from onebend.learning.criticism import Criticism, criticise
@@ -38,7 +38,10 @@ def stiffness_of(problem: FitProblem, optimum: optimizer.Optimum, gain_sd: float
     """k(s) and its band at an optimum, with the stiffening by tags and the unknown places of steps between knots."""
     layout = problem.layout
     fine, (index, onto) = layout.spline.finer, log_k_map(problem)
-    covariance = onto @ optimum.covariance.of_shared[np.ix_(index, index)] @ onto.T
+    covariance = optimum.covariance.of_shared[np.ix_(index, index)]
+    patches = slice(layout.spline.count, None)
+    covariance[patches, patches] += unknown_width(optimum.x[index[patches]], covariance[patches, patches])
+    covariance = onto @ covariance @ onto.T
     covariance += np.tensordot(optimum.jumps**2, layout.spline.unseen, 1)
     known = layout.known
     offset = None if known is None else known.offset
@@ -58,6 +61,18 @@ def stiffness_of(problem: FitProblem, optimum: optimizer.Optimum, gain_sd: float
         offset=offset,
         nominal=nominal,
     )
+
+
+def unknown_width(patches: Array, covariance: Array) -> Array:
+    """(n, n) covariance to be added to that of the patches under tags, their means being `patches` (n,): a patch has
+    one of the widths, and where a positive parameter stands for each, their normal density leaves too little open of
+    how the whole effect a is shared. With shares q of the widths its covariance is `a^2 (diag q - q q')`."""
+    if not len(patches):
+        return covariance
+    shared = np.eye(len(SHARES)) - SHARES[:, None]  # less the whole effect
+    left = np.sum(patches) ** 2 * (np.diag(SHARES) - np.outer(SHARES, SHARES)) - shared @ covariance @ shared.T
+    values, vectors = np.linalg.eigh(left)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 def prior_part(problem: FitProblem, optimum: optimizer.Optimum, s: Array) -> Array:

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from onebend.beam.grid import Grid, make_grid
-from onebend.learning.allowances import PATCH_SD, USUAL_SIZE, WIDTHS, patch_functions, patch_means, patches
+from onebend.learning.allowances import PATCH_SD, SHARES, USUAL_SIZE, WIDTHS, patch_functions, patch_means, patches
 from onebend.learning.fit_data import fit_data
 from onebend.learning.linear import FitProblem, Hyperparameters, RecordingNoise, log_k_map
 from onebend.learning.parameters import RHO, TAU, Spline, make_layout
+from onebend.learning.posterior import unknown_width
 from tests.learning.allowances.allowed_bench import TAGS, course, filmed
 from tests.made_up import with_stated
 
@@ -70,3 +71,14 @@ def test_the_reported_stiffness_has_the_patches_in_it() -> None:
     without = make_layout(spline, [made], [len(one.error.knots)])
     bare = log_k_map(FitProblem((replace(one, allowances=()),), without, 0.0, expected))
     np.testing.assert_array_equal(bare[1], spline.on_finer)
+
+
+def test_the_band_leaves_open_which_of_the_widths_a_patch_has() -> None:
+    whole = 0.8
+    drawn = whole * np.random.default_rng(0).multinomial(1, SHARES, 200_000)
+    found = unknown_width(whole * SHARES, np.zeros((3, 3)))
+    np.testing.assert_allclose(found, np.cov(drawn.T), atol=2e-3)
+    np.testing.assert_allclose(found @ np.ones(3), 0.0, atol=1e-12)  # the whole effect is as well known as before
+    np.testing.assert_allclose(unknown_width(whole * SHARES, 2.0 * found), 0.0, atol=1e-12)  # it was open already
+    np.testing.assert_allclose(unknown_width(whole * SHARES, 0.25 * found), 0.75 * found, atol=1e-12)
+    assert unknown_width(np.zeros(0), np.zeros((0, 0))).shape == (0, 0)
