@@ -60,7 +60,7 @@ def followed(wrong: float, sd: float, seconds: float = 4.0, gap: float = 0.0, la
     most = 0.0
     for now, is_frame, t in events:
         if is_frame:
-            following.add(t, np.zeros((1, 4, 2)))
+            following.add(t, np.zeros((1, 4, 2)))  # type: ignore[arg-type]
             most = max(most, following.stands_in)
         else:
             log.add(np.array([[t + AHEAD, t + AHEAD, 0.0]]))
