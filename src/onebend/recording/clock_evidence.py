@@ -373,7 +373,10 @@ def evidence_over_same_rows(scan: OffsetScan, rows: BinnedLog, offsets: Array) -
 
 
 def averaged_over(scans: Sequence[OffsetScan], ends: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Mean and sd [s] of the offset over sets of features, weighted by their evidence, if their sd is finite."""
+    """Mean and sd [s] of the offset over sets of features, weighted by their evidence, if their sd is finite.
+
+    No set is the true force: by how much their means differ, whatever their evidence, counts as an error of the mean.
+    """
     mean, sd = np.transpose(ends)
     mass = np.array([np.logaddexp.reduce(scan.log_posterior) for scan in scans])
     kept = np.isfinite(sd)
@@ -381,7 +384,8 @@ def averaged_over(scans: Sequence[OffsetScan], ends: Sequence[tuple[float, float
         return float(mean[int(np.argmax(mass))]), float("inf")
     share, mean, sd = np.exp(mass[kept] - np.logaddexp.reduce(mass[kept])), mean[kept], sd[kept]
     middle = float(share @ mean)
-    return middle, float(np.sqrt(share @ (sd**2 + (mean - middle) ** 2)))
+    apart = (1.0 / sd**2) @ (mean - middle) ** 2 / np.sum(1.0 / sd**2)
+    return middle, float(np.sqrt(share @ (sd**2 + (mean - middle) ** 2) + apart))
 
 
 def moments_of(offset: Array, log_density: Array) -> tuple[float, float]:

@@ -54,7 +54,7 @@ class Track:
     time: Array  # (T,) s, video clock
     before: float  # s before the film for which its first frames are taken to hold
     after: float  # s after the film for which its last frames are taken to hold
-    doubt: float = 0.02  # s, sd of an offset found by it, beside what its evidence says (benchmarks/notes/clock.md)
+    doubt: float = 0.0  # s, sd of an offset found by it, beside what its evidence says
 
     @property
     def duration(self) -> float:
