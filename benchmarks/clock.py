@@ -33,11 +33,10 @@ from onebend.recording.force import (
     read_log,
     to_beam,
 )
-from onebend.recording.force_noise import covariance, first_guess
+from onebend.recording.force_noise import TimeSpans, covariance, first_guess
 from onebend.recording.tags import detect_tags
 from onebend.recording.tracks import with_angles
 from onebend.records import Array, ForceLog, Markers
-from tests.recording.pushed import instants
 
 VIRTUAL = tuple(
     f"{kind} {errors}"
@@ -126,7 +125,7 @@ def bound(rec: Recording, log: ForceLog, truth: Truth, offset: float, rate: floa
     )
     constant = np.zeros((len(at), 2, 2)) + 10 * np.eye(2)
     model = fit_noise(at, linear_model(constant, noise), first_guess(noise, 1 / rate))
-    root = np.linalg.cholesky(covariance(model, instants(at)))
+    root = np.linalg.cholesky(covariance(model, TimeSpans.at(at)))
     step = 0.5 / rate
     slope = (true_at(truth, at - offset + step) - true_at(truth, at - offset - step)) / (2 * step)
     level = np.linalg.solve(root, np.ones(len(at)))

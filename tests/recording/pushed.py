@@ -7,18 +7,11 @@ from functools import cache
 
 import numpy as np
 
-from onebend.recording.force_noise import TimeSpans
 from onebend.records import Array, ForceLog, Markers
 from tests.made_up import BEAM, MARKER_S, TAGS
 
 FORCE = np.array([-0.35, 0.3])  # N at the largest push
 TABLE = 200
-
-
-def instants(time: Array) -> TimeSpans:
-    """Rows at `time` (K,) [s] without a change of the load."""
-    nothing = np.zeros(len(time))
-    return TimeSpans(time, time, np.ones(len(time)), nothing, nothing)
 
 
 @cache

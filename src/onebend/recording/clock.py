@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from onebend.recording.clock_evidence import (
+    BinnedLog,
     Prior,
     SensorLag,
     averaged_over,
@@ -14,10 +15,14 @@ from onebend.recording.clock_evidence import (
     feature_scans,
     find_lag,
     likely_offsets,
+    likely_span,
     moments_of,
+    peaks,
     refined,
+    thinned,
 )
 from onebend.recording.clock_features import ClockSettings, FilmFeatures, film_features
+from onebend.recording.clock_moments import offset_from_moments
 from onebend.records import Array, ClockOffset, ForceLog, ForceNoise, Markers, Remark
 
 ROUGHLY = 0.1  # s: a start stated to this uncertainty or less was measured, and is trusted
@@ -142,13 +147,30 @@ def fit_offset(
     unsettled = ClockOffset(offset=stated, sd=doubt, stated=stated, found=False)
     if not np.isfinite(film.rate) or high <= low:
         return ClockFit(unsettled, None, (Remark("note", "Nothing moves in the film: the clocks cannot be matched."),))
-    offsets = np.empty(0) if rows is None else likely_offsets(film, rows, low, high)
-    scans = [] if rows is None else feature_scans(film, rows, offsets, prior)
-    if rows is None or not scans:
+    match = None if rows is None else matched(film, rows, (low, high), prior, settings)
+    if match is None:
         return ClockFit(unsettled, None, (Remark("warning", TOO_LITTLE, about="clock"),))
-    offset, sd = averaged_over(scans, [refined(scan, rows, offsets, prior) for scan in scans])
-    noise = scans[0].noise
+    offset, sd, noise = match
     if not sd < 0.5 * spread:
         return ClockFit(unsettled, noise, (unsettled_remark(offset - stated, sd, uncertainty),))
     clock = ClockOffset(offset=offset, sd=sd, stated=stated, found=True)
     return ClockFit(clock, noise, remarks_on(clock, uncertainty, low, high))
+
+
+def matched(
+    film: FilmFeatures, rows: BinnedLog, within: tuple[float, float], prior: Prior, settings: ClockSettings
+) -> tuple[float, float, ForceNoise] | None:
+    """Offset [s] between `within`, its sd [s] and the log's noise; None where film and log have too little in common.
+
+    The first search models the force by features of the tags, the second by the moments of a push at a known place."""
+    offsets = likely_offsets(film, rows, *within)
+    scans = feature_scans(film, rows, offsets, prior)
+    if not scans:
+        return None
+    if film.moments is not None:
+        few = thinned(rows, max(4 * film.rate, settings.sharp_rows / (film.moments.track.duration + settings.hold)))
+        span = likely_span(scans, offsets, *within)
+        sharp = offset_from_moments(film.moments, few, span, peaks(scans, offsets), prior)
+        if sharp is not None:
+            return sharp
+    return *averaged_over(scans, [refined(scan, rows, offsets, prior) for scan in scans]), scans[0].noise

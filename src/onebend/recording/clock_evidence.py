@@ -17,10 +17,9 @@ from functools import cache, cached_property
 import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpotrf, dtbtrs, dtrtrs
 from scipy.ndimage import uniform_filter1d
-from scipy.optimize import minimize
 
 from onebend.recording.clock_features import FEWEST, ClockSettings, FilmFeatures, Track, lagging, resting
-from onebend.recording.force_noise import LEAST, TINY, first_guess
+from onebend.recording.force_noise import LEAST, TINY, first_guess, likeliest_noise
 from onebend.recording.signals import outliers, step
 from onebend.records import Array, ForceLog, ForceNoise, IntArray
 
@@ -206,32 +205,20 @@ def log_evidence(factor: NoiseFactor, model: LinearModel) -> float:
     return float(-0.5 * (square - explained @ explained) - spread)
 
 
-_FARTHEST = 3.0  # sd of the prior: a log without noise would lead on until rounding is all that is left
-_MOST_TRIED = 120  # sizes of the noise
-
-
 def fit_noise(time: Array, model: LinearModel, start: ForceNoise) -> ForceNoise:
-    """The likeliest noise of the model's values at `time` (N,) around anything that its columns can follow.
+    """The likeliest noise of the model's values at `time` (N,) around anything that its columns can follow."""
 
-    A weak prior bounds the sizes: one sd is a factor of five about `start`, of the correlation time a factor of 2.5."""
-    spread = np.log(np.array([5.0, 5.0, 2.5, 5.0]))
-    centre = np.log(np.array([start.white, start.coloured, start.tau, start.walk]))
+    def misfit(noise: ForceNoise, square: float) -> float:
+        return 0.5 * square - log_evidence(noise_factor(noise, time), model)
 
-    def sized(z: Array) -> ForceNoise:
-        white, coloured, tau, walk = np.exp(centre + spread * np.clip(z, -_FARTHEST, _FARTHEST)).tolist()
-        return replace(start, white=white, coloured=coloured, tau=tau, walk=walk)
-
-    def misfit(z: Array) -> float:
-        return 0.5 * float(z @ z) - log_evidence(noise_factor(sized(z), time), model)
-
-    simplex = np.vstack([np.zeros(4), 0.4 * np.eye(4)])
-    options = {"maxfev": _MOST_TRIED, "xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}
-    return sized(minimize(misfit, np.zeros(4), method="Nelder-Mead", options=options).x)
+    return likeliest_noise(start, misfit, 120)
 
 
 FIRST_LOOK, UNLIKELY = 60.0, 30.0  # rows per film in the rough search; log evidence below the best that is dropped
 MOST_LOOKS, AROUND = 24, 0.5  # offsets that are searched finely, and how far around each, s
 FAR_OFF, NEAR = 0.05, 0.02  # of the largest force: residual of an offset on the rough, the fine grid
+APART, MOST_PEAKS = 0.15, 6  # s: estimates of the offset that are farther apart are each looked at closely
+LEAST_SPAN = 0.2  # s, searched finely on either side of the first estimate at least
 
 
 @dataclass(frozen=True)
@@ -335,6 +322,28 @@ def likely_offsets(film: FilmFeatures, rows: BinnedLog, low: float, high: float)
     return np.asarray(fine[np.abs(fine[:, None] - likely).min(axis=1) < AROUND])
 
 
+def likely_span(scans: Sequence[OffsetScan], offsets: Array, low: float, high: float) -> tuple[float, float]:
+    """s, the lowest and the highest offset that need a finer search."""
+    log_ratio = np.max([scan.log_posterior - scan.log_posterior.max() for scan in scans], axis=0)
+    good, first = offsets[log_ratio > -UNLIKELY], float(offsets[int(np.argmax(scans[0].log_posterior))])
+    return max(low, min(float(good.min()), first - LEAST_SPAN)), min(high, max(float(good.max()), first + LEAST_SPAN))
+
+
+def peaks(scans: Sequence[OffsetScan], offsets: Array) -> list[float]:
+    """s, the offsets at which a scan's posterior has a maximum, the highest of each scan first; not near each other."""
+    found: list[tuple[float, float]] = []
+    for scan in scans:
+        p = np.concatenate([[-np.inf], scan.log_posterior - scan.log_posterior.max(), [-np.inf]])
+        # Log posterior below the highest peak at which another one is left: a share of 3e-4.
+        top = (p[1:-1] >= p[:-2]) & (p[1:-1] >= p[2:]) & (p[1:-1] > -8.0)
+        found += zip((-p[1:-1][top]).tolist(), offsets[top].tolist(), strict=True)
+    kept: list[float] = []
+    for _, offset in sorted(found, key=lambda one: one[0]):
+        if all(abs(offset - other) > APART for other in kept):
+            kept.append(offset)
+    return kept[:MOST_PEAKS]
+
+
 def refined(scan: OffsetScan, rows: BinnedLog, offsets: Array, prior: Prior) -> tuple[float, float]:
     """Mean and sd of the posterior around its highest peak. Other peaks widen the sd by their probability."""
     best = centre = float(offsets[int(np.argmax(scan.log_posterior))])
@@ -373,19 +382,20 @@ def evidence_over_same_rows(scan: OffsetScan, rows: BinnedLog, offsets: Array) -
 
 
 def averaged_over(scans: Sequence[OffsetScan], ends: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Mean and sd [s] of the offset over sets of features, weighted by their evidence, if their sd is finite.
-
-    No set is the true force: by how much their means differ, whatever their evidence, counts as an error of the mean.
-    """
+    """Mean and sd [s] of the offset over sets of features, weighted by their evidence, if their sd is finite."""
     mean, sd = np.transpose(ends)
     mass = np.array([np.logaddexp.reduce(scan.log_posterior) for scan in scans])
     kept = np.isfinite(sd)
     if not kept.any():
         return float(mean[int(np.argmax(mass))]), float("inf")
-    share, mean, sd = np.exp(mass[kept] - np.logaddexp.reduce(mass[kept])), mean[kept], sd[kept]
+    return mixed(mass[kept], mean[kept], sd[kept])
+
+
+def mixed(log_evidence: Array, mean: Array, sd: Array) -> tuple[float, float]:
+    """Mean and sd of normal densities with these means and sds, weighted by their evidence."""
+    share = np.exp(log_evidence - np.logaddexp.reduce(log_evidence))
     middle = float(share @ mean)
-    apart = (1.0 / sd**2) @ (mean - middle) ** 2 / np.sum(1.0 / sd**2)
-    return middle, float(np.sqrt(share @ (sd**2 + (mean - middle) ** 2) + apart))
+    return middle, float(np.sqrt(share @ (sd**2 + (mean - middle) ** 2)))
 
 
 def moments_of(offset: Array, log_density: Array) -> tuple[float, float]:

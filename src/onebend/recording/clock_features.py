@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline, PPoly
 
 from onebend.recording.force_noise import LoadChange, load_changes
 from onebend.recording.signals import MAD_TO_SD, bandwidth, bridged, from_clamp, runs, step
-from onebend.records import Array, BoolArray, Markers
+from onebend.records import Array, BoolArray, IntArray, Markers
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,7 @@ class ClockSettings:
     corrections: tuple[float, ...] = (0.01, 0.001)  # prior sds, tried in turn, of what corrects the levers
     most_rows: int = 250  # of the log, after averaging
     most_frames: int = 4000  # of the film; where there are more, neighbours are averaged: some sixteen a row are left
+    sharp_rows: int = 120  # of these, for the model by the spans' moments
     slowest: float = 5.0  # rows per second at least
     longest_gap: float = 0.25  # s, a marker missing longer is not interpolated
     steps: float = 0.3  # of the largest force: sd of a log's error that changes where the load begins, reverses, ends
@@ -33,6 +34,8 @@ class ClockSettings:
 #   bounds the force along a straight beam.
 # - Polynomials of the leading principal components: any smooth function of the shape. They correct the levers, or stand
 #   alone where the place of the push is not known or the beam swings.
+# - Moments: the turn of a span is `F . integral of w(s) a(s) ds` with w = 1 / k and a the lever of a unit force about
+#   s, exact for a beam that moves slowly. Of w, the mean over the span and the slope are used.
 
 FREE = 10.0  # prior sd of the log's bias and of a stiffness, per largest force: free
 RIDGE = 0.01  # of the longest lever squared
@@ -40,6 +43,8 @@ SHORTEST_SPAN = 0.05  # of the beam: a shorter span between a tag and the push d
 TERMS = (2.0, 0.5, 0.25)  # prior sd of a polynomial's coefficient by degree, per largest force
 TOUCHED = 0.02  # of the largest displacement: a smaller one counts as rest
 PARTS = 5  # into which a change of the load is divided; the log's error may change in each
+SLACK = 0.2  # s, by which the log's error may change before or after the load does
+FEWEST_SPANS = 2  # that end at or before the push
 STILL = 10  # first and last frames in which the beam may be at rest
 FEWEST = 10  # frames, and rows of the log
 LOAD_DOUBT = 0.05  # s, sd of the offset from not knowing when the log's error changes with the load
@@ -77,21 +82,33 @@ class Track:
 
 
 @dataclass(frozen=True)
+class Moments:
+    """Turns and levers of k spans in time, to be averaged over any span of time."""
+
+    track: Track  # features (k, 5): turn, mean of the lever, its first Legendre moment
+    tangent: Track  # (2,), change of all levers with the place of the push
+    steps: Track  # (n,) ramps over the changes of the load
+    noise: Array  # (k,) rad, one sd of a turn in one frame
+    largest: Array  # (k,) rad
+
+
+@dataclass(frozen=True)
 class FilmFeatures:
     """All features of a film."""
 
     time: Array  # (T,) s, of the frames; where there are too many, of means of neighbours
     rate: float  # Hz, bandwidth of the motion; NaN where nothing moves
     tracks: tuple[Track, ...]  # sets for the regression, the largest first
+    moments: Moments | None
 
 
 def film_features(markers: Markers, push_s: float | None, settings: ClockSettings) -> FilmFeatures:
-    """The features of the markers; without levers where the place of the push `push_s` is not known."""
+    """The features of the markers; without levers and moments where the place of the push `push_s` is not known."""
     rate = motion_rate(markers)
     markers = averaged(markers, settings.most_frames)
     seen = gapless(markers, settings)
     if seen is None or seen.covered.sum() < FEWEST:
-        return FilmFeatures(markers.time, rate, ())
+        return FilmFeatures(markers.time, rate, (), None)
     polynomials, turns = monomials(seen.xy, seen.angle), None if push_s is None else levers(seen, push_s)
     sets = [regressors(polynomials, None)]
     if turns is not None and turns.shape[-1]:
@@ -99,7 +116,7 @@ def film_features(markers: Markers, push_s: float | None, settings: ClockSetting
     tracks = [seen.track(values) for values in sets]
     with_load = np.concatenate([sets[0], load_errors(seen, settings.steps)], axis=2)
     tracks.append(replace(seen.track(with_load), doubt=LOAD_DOUBT))
-    return FilmFeatures(markers.time, rate, tuple(tracks))
+    return FilmFeatures(markers.time, rate, tuple(tracks), None if push_s is None else make_moments(seen, push_s))
 
 
 def motion_rate(markers: Markers) -> float:
@@ -299,6 +316,54 @@ def along(xy: Array, angle: Array, s: Array, place: float) -> Array:
         + (u**3 - 2 * u**2 + u) * ends[0]
         + (u**3 - u**2) * ends[1]
     )
+
+
+def make_moments(seen: GaplessMarkers, push_s: float) -> Moments | None:
+    """Moments of the spans; None where fewer than `FEWEST_SPANS` whole spans before the push turn: most of the
+    information is then in the places of the tags beyond."""
+    if len(seen.time) < STILL:
+        return None
+    s, xy, angle = seen.s, seen.xy, seen.angle
+    spans = np.flatnonzero((s[:-1] < push_s - SHORTEST_SPAN) & (np.diff(s) > 0.0))
+    bend = angle - np.median(angle[:STILL], axis=0)
+    turns = bend[:, spans + 1] - bend[:, spans]
+    largest = np.abs(turns).max(axis=0, initial=0.0)
+    # Of the largest turn: a span that turns by less is not used.
+    good = (largest > 0.02 * largest.max(initial=0.0)) & (largest > 0.0)
+    if np.sum(good & (s[spans + 1] <= push_s + SHORTEST_SPAN)) < FEWEST_SPANS:
+        return None
+    spans, turns, largest = spans[good], turns[:, good], largest[good]
+    mean, slope, tangent = span_levers(xy, angle, s, spans, push_s)
+    noise = MAD_TO_SD * np.median(np.abs(np.diff(turns, n=2, axis=0)), axis=0) / np.sqrt(6.0)
+    return Moments(
+        seen.track(np.concatenate([turns[..., None], mean, slope], axis=-1)),
+        seen.track(np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)),
+        seen.track(load_change_ramps(seen)),
+        np.maximum(noise, 0.001 * largest),  # of a span's largest turn: least noise of the turn
+        largest,
+    )
+
+
+def span_levers(xy: Array, angle: Array, s: Array, spans: IntArray, push_s: float) -> tuple[Array, Array, Array]:
+    """(T, k, 2) m mean lever over each span, its first Legendre moment; and the beam's direction (T, 2) at the push."""
+    push = along(xy, angle, s, push_s)
+    beside = np.clip((push_s - s[:-1]) / np.maximum(np.diff(s), 1e-9), 0.0, 1.0)
+    direction = angle[:, 0] + np.diff(angle, axis=1) @ beside
+    x, weight = np.polynomial.legendre.leggauss(5)  # Gauss, on a span
+    ends = np.minimum(s[spans + 1], push_s)
+    lever = np.zeros((2, len(xy), len(spans), 2))
+    for node, share in zip(x, 0.5 * weight, strict=True):
+        places = s[spans] + 0.5 * (node + 1.0) * (ends - s[spans])
+        arm = push[:, None] - np.stack([along(xy, angle, s, place) for place in places], axis=1)
+        lever += share * np.array([1.0, node])[:, None, None, None] * np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
+    return lever[0], lever[1], np.stack([np.cos(direction), np.sin(direction)], axis=1)
+
+
+def load_change_ramps(seen: GaplessMarkers) -> Array:
+    """(T, n) ramps from 0 to 1 over each change of the load, in which the log's error may change."""
+    changes = changes_of_load(seen)
+    wide = [replace(change, begin=change.begin - SLACK, end=change.end + SLACK) for change in changes]
+    return np.reshape([change.fraction(seen.time) for change in wide], (len(wide), len(seen.time))).T
 
 
 def resting(track: Track) -> Track:

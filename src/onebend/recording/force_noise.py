@@ -4,11 +4,12 @@ The clock search, the fit, the live learner and the check of a sensor all use it
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.optimize import minimize
 
 from onebend.recording.signals import MAD_TO_SD, bridged, runs
 from onebend.records import Array, BoolArray, ForceNoise
@@ -111,6 +112,12 @@ class TimeSpans:
     slow: Array  # (K,) 1 where only the slow parts (level, walk, load) count, at `end`; else 0
     own: Array  # (K,) the load's own time
 
+    @staticmethod
+    def at(time: Array) -> TimeSpans:
+        """Instants `time` (K,) [s] without a change of the load."""
+        nothing = np.zeros(len(time))
+        return TimeSpans(time, time, np.ones(len(time)), nothing, nothing)
+
     def after(self, time: float, own: float) -> TimeSpans:
         """These spans after one of which only the slow parts count."""
         first = (time, time, 1.0, 1.0, own)
@@ -205,3 +212,25 @@ def first_guess(values: Array, spacing: float) -> ForceNoise:
     white = float(np.median(np.abs(jumps))) * MAD_TO_SD / np.sqrt(6) if len(jumps) else 0.0
     size = max(white, 1e-3 * float(np.ptp(values, axis=0).max(initial=0.0)), np.finfo(float).tiny ** 0.25)
     return ForceNoise(white=size, coloured=size, tau=max(0.2, spacing), walk=0.5 * size, spacing=spacing)
+
+
+_FARTHEST = 3.0  # sd of the prior: a log without noise would lead on until rounding is all that is left
+
+
+def likeliest_noise(start: ForceNoise, misfit: Callable[[ForceNoise, float], float], most: int) -> ForceNoise:
+    """The noise of least `misfit`, a negative log posterior, in at most so many evaluations.
+
+    A weak prior bounds the sizes: one sd is a factor of five about `start`, of the correlation time a factor of 2.5.
+    `misfit` takes the noise and the square of its distance from `start` in sd.
+    """
+    spread = np.log(np.array([5.0, 5.0, 2.5, 5.0]))
+    centre = np.log(np.array([start.white, start.coloured, start.tau, start.walk]))
+
+    def sized(z: Array) -> ForceNoise:
+        white, coloured, tau, walk = np.exp(centre + spread * np.clip(z, -_FARTHEST, _FARTHEST)).tolist()
+        return replace(start, white=white, coloured=coloured, tau=tau, walk=walk)
+
+    simplex = np.vstack([np.zeros(4), 0.4 * np.eye(4)])
+    options = {"maxfev": most, "xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}
+    optimum = minimize(lambda z: misfit(sized(z), z @ z), np.zeros(4), method="Nelder-Mead", options=options)
+    return sized(optimum.x)

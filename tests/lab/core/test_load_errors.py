@@ -8,7 +8,7 @@ import pytest
 from benchmarks.mistaken_place import drawn
 from onebend.lab.virtual import virtual_recording
 from onebend.recording.clock import fit_clock
-from onebend.recording.clock_evidence import OffsetScan, averaged_over
+from onebend.recording.clock_evidence import OffsetScan, averaged_over, peaks
 from onebend.records import ForceNoise
 
 GRID = np.linspace(-1.0, 1.0, 41)
@@ -31,6 +31,12 @@ def scan(*peaked: tuple[float, float]) -> OffsetScan:
     for offset, height in peaked:
         density = np.maximum(density, height - 1e3 * (GRID - offset) ** 2)
     return OffsetScan(None, density, lambda: ForceNoise(1.0, 1.0, 1.0, 1.0))  # type: ignore[arg-type]
+
+
+def test_peaks_that_may_be_right_are_looked_at_the_highest_of_each_search_first() -> None:
+    low, high = scan((0.5, -100.0), (-0.5, -102.0)), scan((0.0, 10.0), (0.8, 1.0))
+    assert np.allclose(peaks([low, high], GRID), [0.5, 0.0, -0.5])
+    assert np.allclose(peaks([low, scan((0.45, 0.0), (0.0, -1.0))], GRID), [0.5, 0.0, -0.5])
 
 
 def test_sets_of_features_count_by_their_evidence() -> None:

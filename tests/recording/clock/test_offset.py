@@ -10,10 +10,10 @@ import pytest
 from onebend.recording.clock import fit_clock
 from onebend.recording.clock_evidence import fit_noise, linear_model, log_evidence, noise_factor
 from onebend.recording.clock_features import ClockSettings, GaplessMarkers, averaged, levers
-from onebend.recording.force_noise import covariance
+from onebend.recording.force_noise import TimeSpans, covariance
 from onebend.recording.signals import from_clamp
 from onebend.records import ForceNoise
-from tests.recording.pushed import Pushed, force_at, instants, table
+from tests.recording.pushed import Pushed, force_at, table
 
 
 def turned(angle: float) -> np.ndarray:
@@ -131,7 +131,7 @@ def test_evidence_is_that_of_a_normal_distribution() -> None:
     time = np.sort(rng.uniform(0.0, 4.0, 12))
     design, values = rng.standard_normal((12, 2, 3)), rng.standard_normal((12, 2))
     noise = ForceNoise(white=0.4, coloured=0.7, tau=0.5, walk=0.3)
-    whole = np.kron(np.eye(2), covariance(noise, instants(time)))
+    whole = np.kron(np.eye(2), covariance(noise, TimeSpans.at(time)))
     x = design.transpose(1, 0, 2).reshape(24, 3)
     whole = whole + x @ x.T
     y = values.T.reshape(24)
@@ -148,7 +148,7 @@ def test_banded_covariance_is_the_dense_one(white: float) -> None:
     walked = np.cumsum(np.maximum(rng.standard_normal(200), 0.0))
     noise = ForceNoise(white=white, coloured=0.7, tau=0.5, walk=0.3)
     columns = rng.standard_normal((200, 5))
-    dense = covariance(noise, instants(time)) + np.minimum(walked[:, None], walked) - walked[0]
+    dense = covariance(noise, TimeSpans.at(time)) + np.minimum(walked[:, None], walked) - walked[0]
     direct = columns.T @ np.linalg.solve(dense, columns)
     factor = noise_factor(noise, time, walked)
     np.testing.assert_allclose(factor.inner(columns), direct, rtol=1e-8, atol=1e-9 * np.abs(direct).max())
