@@ -161,7 +161,7 @@ def test_learn_passes_its_options_on(tmp_path: Path, pipeline: list[dict[str, An
 def test_several_recordings_and_a_free_clamp_reach_the_fit(tmp_path: Path, pipeline: list[dict[str, Any]]) -> None:
     assert run("learn", "A", "B", "-o", tmp_path / "out", "--clamp-sd-deg", "1").exit_code == 0
     assert pipeline[0]["folders"] == (Path("A"), Path("B"))
-    assert pipeline[0]["fitting"].priors.clamp == pytest.approx(np.deg2rad(1.0))
+    assert pipeline[0]["fitting"].clamp_sd == pytest.approx(np.deg2rad(1.0))
     assert pipeline[0]["settings"].method == "regression"
 
 

@@ -60,7 +60,7 @@ def test_a_summary_says_what_the_results_are_made_from(out: Path) -> None:
         assert one["bytes"] == (EXAMPLE / name).stat().st_size
     assert source["versions"]["numpy"] == np.__version__
     assert source["options"]["clamp_sd_deg"] == 0.5
-    assert source["settings"]["fit"]["priors"]["clamp"] == pytest.approx(np.deg2rad(0.5))
+    assert source["settings"]["fit"]["clamp_sd"] == pytest.approx(np.deg2rad(0.5))
     assert source["command"][0] == "onebend"
     assert source["changed_meanwhile"] == []
 
