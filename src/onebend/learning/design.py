@@ -419,19 +419,19 @@ class Plan:
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """Which pushes are thought of, and how many are told."""
+    """Which pushes are tried, and how many are proposed."""
 
     at_s: tuple[float, ...] = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
     directions_deg: tuple[float, ...] = (60.0, 90.0, 120.0, 150.0, -60.0, -90.0, -120.0, -150.0)
     sizes: tuple[float, ...] = (1.0, 0.6)  # as shares of the largest force that the limits allow
     limits: Limits = field(default_factory=Limits)
-    better_sensor: float = 5.0  # times smaller errors of the force sensor thought of
+    better_sensor: float = 5.0  # times smaller errors of a better force sensor
     count: int = option("--count", 8, "How many proposals.", metavar="N", within=(1, None))
     apart: float = 0.15  # in s: nearer pushes with the same needs count as one
 
 
 @dataclass(frozen=True)
-class _Thought:
+class _Candidate:
     push: PlannedPush
     seen: TagDerivatives
     tip_moves: float
@@ -495,7 +495,7 @@ def plan(
     plain = [_propose(t, now, bench) for t in thoughts]
     other = [p for t in thoughts for p in _with_more(t, now, bench, settings)]
     first = min(plain, key=_left)
-    after = now.after(_told(thoughts[plain.index(first)], bench))
+    after = now.after(_information_of(thoughts[plain.index(first)], bench))
     second = min((_propose(t, after, bench) for t in thoughts), key=_left)
     ranked = _distinct(sorted([*plain, *other], key=_cost_and_left), settings)
     return Plan(now.quality(), now.sd(), ranked, (first, second), left_out)
@@ -520,7 +520,7 @@ def _thoughts(
     found: list[LargestPush],
     settings: PlanSettings,
     progress: Progress,
-) -> Iterator[_Thought]:
+) -> Iterator[_Candidate]:
     new = [
         PlannedPush(r.at_s, r.direction, share * r.largest) for r in found if not r.why_not for share in settings.sizes
     ]
@@ -535,7 +535,7 @@ def _thoughts(
         seen = tag_derivatives(solved, bench, candidate, mass, uncertain.basis(solved.problem.grid.nodes), tags)
         ends = solved.xy(np.ones(1))[[-2, -1], 0]
         turns = solved.angle(np.ones(1))[[-2, -1], 0]
-        yield _Thought(candidate, seen, float(np.hypot(*(ends[0] - ends[1]))), float(turns[0] - turns[1]), repeats)
+        yield _Candidate(candidate, seen, float(np.hypot(*(ends[0] - ends[1]))), float(turns[0] - turns[1]), repeats)
 
 
 def _gaps(bench: Instruments) -> Array:
@@ -544,27 +544,27 @@ def _gaps(bench: Instruments) -> Array:
     return np.append(middles, 1.0) if edges[-1] < 0.9 else middles
 
 
-def _told(thought: _Thought, bench: Instruments, more: int | None = None) -> Array:
+def _information_of(candidate: _Candidate, bench: Instruments, more: int | None = None) -> Array:
     own = len(bench.tags)
     chosen = np.arange(own) if more is None else np.append(np.arange(own), more)
-    return joint_information(thought.seen, bench, thought.push, chosen)
+    return joint_information(candidate.seen, bench, candidate.push, chosen)
 
 
-def _propose(thought: _Thought, now: _Known, bench: Instruments) -> Proposal:
-    return _proposal(thought, now, now.after(_told(thought, bench)))
+def _propose(candidate: _Candidate, now: _Known, bench: Instruments) -> Proposal:
+    return _proposal(candidate, now, now.after(_information_of(candidate, bench)))
 
 
-def _with_more(thought: _Thought, now: _Known, bench: Instruments, settings: PlanSettings) -> Iterator[Proposal]:
-    for i in range(len(bench.tags), len(thought.seen.tags)):
-        after = now.after(_told(thought, bench, i))
-        yield replace(_proposal(thought, now, after), added_tag=float(thought.seen.tags[i]))
+def _with_more(candidate: _Candidate, now: _Known, bench: Instruments, settings: PlanSettings) -> Iterator[Proposal]:
+    for i in range(len(bench.tags), len(candidate.seen.tags)):
+        after = now.after(_information_of(candidate, bench, i))
+        yield replace(_proposal(candidate, now, after), added_tag=float(candidate.seen.tags[i]))
     better = with_better_sensor(bench, settings.better_sensor)
-    after = now.after_other_sensor(_told(thought, better), better.gain_sd)
-    yield replace(_proposal(thought, now, after), better_sensor=settings.better_sensor)
+    after = now.after_other_sensor(_information_of(candidate, better), better.gain_sd)
+    yield replace(_proposal(candidate, now, after), better_sensor=settings.better_sensor)
 
 
-def _proposal(thought: _Thought, now: _Known, after: _Known) -> Proposal:
-    made = {name: value for name, value in vars(thought).items() if name != "seen"}
+def _proposal(candidate: _Candidate, now: _Known, after: _Known) -> Proposal:
+    made = {name: value for name, value in vars(candidate).items() if name != "seen"}
     return Proposal(**made, before=now.quality(), after=after.quality(), sd=after.sd())
 
 

@@ -141,8 +141,8 @@ class _Check:
         before = self.smooth.covariance + common @ common.T
         whole = before.copy()
         self._add_log(whole, sizes)
-        put_right = (self.logged - x[3:5] - self.later[:, None] * x[5:7]) @ _turn(x[1]) / x[0]
-        pull = np.linalg.solve(whole, (put_right - self.smooth.force).ravel())
+        corrected = (self.logged - x[3:5] - self.later[:, None] * x[5:7]) @ _turn(x[1]) / x[0]
+        pull = np.linalg.solve(whole, (corrected - self.smooth.force).ravel())
         self.seen = self.smooth.force + (before @ pull).reshape(-1, 2)
 
     def chosen(self, x: Array, sizes: Array) -> Array:
