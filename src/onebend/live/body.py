@@ -22,6 +22,7 @@ from onebend.recording.outline import (
     points_of,
     track_of,
 )
+from onebend.recording.signals import nan_mean
 from onebend.recording.tags import TrackedFrame, Tracker
 from onebend.recording.video import Picture
 from onebend.records import Array, Detections, IntArray, OutlineTrack, View
@@ -91,7 +92,7 @@ class BodyTracker:
                 view = measure_markers(found, self._rec).view
                 assert view is not None
                 self.follower, self._corners = FlankFollower(body_place(self._rec, view)), seen.corners
-            shift = np.nan_to_num(np.nanmean(seen.corners - self._corners, axis=(0, 1)))
+            shift = np.nan_to_num(nan_mean((seen.corners - self._corners).reshape(-1, 2)))
             state, away = self.follower.step(Sight(planes, self.follower.place.view, shift))
         except ObservationError as wrong:
             self.follower, self.why = None, str(wrong).removeprefix(f"{self._rec.name}: ")
