@@ -280,8 +280,13 @@ class BodyPlace:
     @property
     def scale(self) -> float:
         """px/m along the body as it would lie straight."""
-        ends = project(self.view, np.array([[0.0, 0.0], [self.stations.length, 0.0]]))
-        return float(np.linalg.norm(ends[1] - ends[0])) / self.stations.length
+        return scale_of(self.view, self.stations.length)
+
+
+def scale_of(view: View, length: float) -> float:
+    """px/m along a straight body of this length [m] in the view's frame."""
+    ends = project(view, np.array([[0.0, 0.0], [length, 0.0]]))
+    return float(np.linalg.norm(ends[1] - ends[0])) / length
 
 
 # The first picture: the body is followed from the clamp to its tip.

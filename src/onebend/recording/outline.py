@@ -41,6 +41,7 @@ from onebend.recording.flanks import (
     grown,
     pixel_noise,
     planes_of,
+    scale_of,
     sides_of,
 )
 from onebend.recording.signals import MAD_TO_SD, correlation_time, nan_mean, nan_median, running_median
@@ -68,14 +69,13 @@ class OutlineSearch:
 
 def body_place(rec: Recording, view: View) -> BodyPlace:
     """Where the body of a recording is looked for."""
-    alone = BodyPlace(rec.name, view, Stations(rec.beam.length, 2), np.zeros(2, dtype=bool), math.nan)
-    stations = Stations(
-        rec.beam.length, min(max(2 * POINTS, math.ceil(rec.beam.length * alone.scale / STATION)), STATIONS)
-    )
-    base, paper = rec.tags.on_base[0].s, PAPER * rec.tags.size / rec.beam.length
+    length = rec.beam.length
+    count = math.ceil(length * scale_of(view, length) / STATION)
+    stations = Stations(length, min(max(2 * POINTS, count), STATIONS))
+    base, paper = rec.tags.on_base[0].s, PAPER * rec.tags.size / length
     hidden = np.min([np.abs(stations.s - s) for s in (base, *(tag.s for tag in rec.tags.on_beam))], axis=0) < paper
     width = math.nan if rec.outline is None else rec.outline.width
-    return replace(alone, stations=stations, hidden=hidden | (stations.s < base), width=width)
+    return BodyPlace(rec.name, view, stations, hidden | (stations.s < base), width)
 
 
 class FlankFollower:
