@@ -9,7 +9,7 @@ import numpy as np
 
 from onebend.learning.condensed import white_share
 from onebend.learning.fit_data import fit_data
-from onebend.learning.frames import _of_tags, pose_whitening, read_alone, with_seen_tags
+from onebend.learning.frames import of_tags, pose_whitening, read_alone, with_seen_tags
 from onebend.learning.instruments import instruments_of, setup_of
 from onebend.learning.parameters import Spline
 from onebend.learning.posterior import fit
@@ -139,7 +139,7 @@ def test_an_outline_that_spoils_the_fit_is_left_out_of_it() -> None:
 
 def test_recordings_of_one_beam_keep_the_points_that_all_of_them_have() -> None:
     both = beside_tags()
-    fewer = _of_tags(both, both.tag_id != 100_003)
+    fewer = of_tags(both, both.tag_id != 100_003)
     first, second = with_seen_tags([both, fewer])
     np.testing.assert_array_equal(first.tag_id, second.tag_id)
     assert len(first.tag_id) == len(both.tag_id) - 1

@@ -79,7 +79,6 @@ class Film:
     problem: Problem
     gravity: Array  # (F, 2) m/s^2
     line: Profile  # kg/m, mass as written
-    across: Array  # (F, m, 2) unit vectors across an outline at its points
 
 
 @dataclass(frozen=True)
@@ -89,6 +88,7 @@ class PushCourse:
     length: float  # m
     marker_s: Array  # (m,)
     on_body: BoolArray  # (m,) which of them are tags; the others are points of an outline
+    across: Array  # (F, m, 2) unit vectors across the outline at its points; zeros at tags
     tags: tuple[str, ...]  # their names
     tag_size: float  # m, NaN if unknown
     thick: bool  # the section's thickness is known
@@ -116,8 +116,11 @@ class PushCourse:
         return np.array([float(np.interp(s, places, turn)) for s, turn in zip(self.push_s, turns, strict=True)])
 
 
-def course_of(observations: Observations, frames: BoolArray, film: Film | None = None) -> PushCourse:
-    """Of the chosen `frames` (T,) of a recording; with a `film`, the frames at rest that it has behind them."""
+def course_of(
+    observations: Observations, frames: BoolArray, film: Film | None = None, across: Array | None = None
+) -> PushCourse:
+    """Of the chosen `frames` (T,) of a recording; with a `film`, the frames at rest that it has behind them. `across`
+    as of `PushCourse`; without it an outline has no errors of its own."""
     o, on_body = observations, tags_among(observations)
     time, xy, angle, force = o.time[frames], o.xy[frames], o.angle[frames], o.force[frames]
     rest = np.where(np.isfinite(o.rest_xy), o.rest_xy, xy[0])
@@ -137,6 +140,7 @@ def course_of(observations: Observations, frames: BoolArray, film: Film | None =
         length=o.length,
         marker_s=o.marker_s,
         on_body=on_body,
+        across=np.zeros((count, len(on_body), 2)) if across is None else across,
         tags=tuple(f"tag {i}" for i in o.tag_id[on_body]),
         tag_size=o.stated.tag_size,
         thick=bool(np.isfinite(o.stated.thickness)),
@@ -247,30 +251,25 @@ _TERMS = 6  # Legendre polynomials along the body
 
 def outline_error(course: PushCourse) -> Allowance | None:
     """The error of an outline that grows with the bending, smooth along the body: walls come into sight."""
-    if (film := _outlined(course)) is None:
+    across, in_time = course.across, np.column_stack([course.bend, course.bend**2])  # (F, 2)
+    if not np.any(across):
         return None
-    in_time = np.column_stack([course.bend, course.bend**2])  # (F, 2)
     along = np.polynomial.legendre.legvander(2.0 * course.marker_s - 1.0, _TERMS - 1)  # (m, n)
-    shape = (*film.across.shape[:2], 3, 2 * _TERMS)
-    basis = np.zeros(shape)
-    basis[:, :, :2] = np.einsum("fmc,ft,mn->fmctn", film.across, in_time, along).reshape(*film.across.shape, -1)
+    basis = np.zeros((*across.shape[:2], 3, 2 * _TERMS))
+    basis[:, :, :2] = np.einsum("fmc,ft,mn->fmctn", across, in_time, along).reshape(*across.shape, -1)
     labels = tuple(f"outline error {t}{n}" for t in ("grows", "grows more") for n in range(_TERMS))
-    return Allowance("outline", "poses", "m", labels, np.full(len(labels), OUTLINE_SD), basis, sized=True)
+    sd, powers = np.full(len(labels), OUTLINE_SD), np.repeat([1.0, 2.0], _TERMS)
+    return Allowance("outline", "poses", "m", labels, sd, basis, sized=True, powers=powers)
 
 
 def light(course: PushCourse) -> Allowance | None:
     """Light from one side, and shadow, move both edges the same way in the picture, however the body is turned."""
-    if (film := _outlined(course)) is None:
+    across = course.across
+    if not np.any(across):
         return None
-    across = film.across
     basis = np.zeros((*across.shape[:2], 3, 2))
     basis[:, :, :2] = across[..., :, None] * across[..., None, :]
     return Allowance("light", "poses", "m", ("edges lie off in x", "edges lie off in y"), np.full(2, LIGHT_SD), basis)
-
-
-def _outlined(course: PushCourse) -> Film | None:
-    """The film that shows an outline."""
-    return None if course.on_body.all() else course.film
 
 
 _WINDOW, _DEGREE = 7, 3  # frames and degree of the polynomial whose curvature is the acceleration
@@ -472,8 +471,8 @@ _OUTLINE_HEIGHTS = ("height of the outline at the clamp", "height of the outline
 
 def outline_height(course: PushCourse) -> Allowance | None:
     """Of an outline over the tags [m], at the clamp and at the tip: that of a round body lies below them."""
-    film = _outlined(course)
-    if film is None or not course.tags or film.observations.source.view is None:
+    film = course.film
+    if film is None or course.on_body.all() or not course.tags or film.observations.source.view is None:
         return None
     basis = _lifted(film.observations, film.measured, _from_clamp_to_tip(film.observations))
     sd = np.full(len(_OUTLINE_HEIGHTS), HEIGHT_SD)
@@ -763,8 +762,8 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(
         "patches": Effect("stiff tags", patches),
         "discrepancy": Effect(LEFT, discrepancy),
         "angle discrepancy": Effect(LEFT, angle_discrepancy),
-        "outline": Effect("outline", outline_error, live=False),
-        "light": Effect("outline", light, live=False),
+        "outline": Effect("outline", outline_error),
+        "light": Effect("outline", light),
         "slide": Effect("sliding contact", sliding),
         "rub": Effect("friction of the tool", rubbing, live=False),
         "posture": Effect("posture-dependent bias", posture_bias),

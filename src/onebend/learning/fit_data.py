@@ -273,7 +273,7 @@ def fit_data(
         weights = np.vstack([weights, np.zeros(weights.shape[1])])
         other = rested(other)
     tags, across = tags_among(o), np.zeros((*measured.shape[:2], 2))
-    direction = measured[:, ~tags, 2]
+    direction = np.nan_to_num(measured[:, ~tags, 2])
     across[:, ~tags] = np.stack([-np.sin(direction), np.cos(direction)], axis=-1)
     measured[:, ~tags, 2] = np.nan
     whiten = pose_whitening(o, measured, covariance, across)
@@ -289,7 +289,7 @@ def fit_data(
     )
     ends = held_ends(o, frames, problem)
     nodes = problem.grid.nodes
-    film = Film(o, frames, measured, problem, gravity, line, across)
+    film = Film(o, frames, measured, problem, gravity, line)
     none = o.static or not np.any(frames)
     known_mass = bool(allowances) and (np.isfinite(o.stated.mass) or o.stated.masses) and not o.static
     inertia = inertial_force(o, frames, problem, line, len(force), o.stated.masses) if known_mass else np.zeros(1)
@@ -317,7 +317,7 @@ def fit_data(
         on_nodes=spline.basis(nodes),
         offset=known.offset_at(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),
-        allowances=() if none else allowances_of(course_of(o, frames, film), allowances),
+        allowances=() if none else allowances_of(course_of(o, frames, film, across), allowances),
     )
 
 

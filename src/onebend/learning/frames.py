@@ -112,21 +112,21 @@ def with_seen_tags(recordings: Sequence[Observations]) -> list[Observations]:
     without the points of an outline that not all of them have."""
     several = [set(one.tag_id[~tags_among(one)].tolist()) for one in recordings]
     points = list(set.intersection(*several))
-    recordings = [_of_tags(one, tags_among(one) | np.isin(one.tag_id, points)) for one in recordings]
+    recordings = [of_tags(one, tags_among(one) | np.isin(one.tag_id, points)) for one in recordings]
     if len({one.tag_id.tobytes() for one in recordings}) != 1:
         return recordings
     seen = np.any([np.isfinite(one.xy).any(axis=(0, 2)) for one in recordings], axis=0)
-    return [_of_tags(one, seen) for one in recordings]
+    return [of_tags(one, seen) for one in recordings]
 
 
 def read_alone(one: Observations) -> Observations:
     """The observations without the points of an outline; where there are no tags with few of these."""
     kept = np.zeros(len(one.tag_id), dtype=bool)
     kept[read_before_fit(one)] = True
-    return _of_tags(one, kept)
+    return of_tags(one, kept)
 
 
-def _of_tags(one: Observations, kept: BoolArray) -> Observations:
+def of_tags(one: Observations, kept: BoolArray) -> Observations:
     """The observations of the tags `kept` (m,) alone."""
     if kept.all():
         return one

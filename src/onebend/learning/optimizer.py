@@ -719,12 +719,20 @@ def carried_over(problem: FitProblem, near: MapEstimate, whole: FitProblem, some
     )
     shapes: list[Array | None] = [None] * len(whole.recordings)
     for i, few, prediction in zip(some, problem.recordings, near.predictions, strict=True):
-        same = np.array_equal(few.frames, whole.recordings[i].frames)
-        if same and np.array_equal(few.problem.grid.nodes, whole.recordings[i].problem.grid.nodes):
-            shapes[i] = prediction.solved.q
+        every, q = whole.recordings[i], prediction.solved.q
+        if np.array_equal(few.problem.grid.nodes, every.problem.grid.nodes):
+            same = np.array_equal(few.frames, every.frames)
+            shapes[i] = q if same else None if every.observations.static else between(few, every, q)
     clear_slopes(near)
     begin = estimate_at(whole, x, shapes)
     return with_own_forces(replace(begin, hyperparameters=replace(found, noise=noise), steps=near.steps))
+
+
+def between(few: FitData, every: FitData, q: Array) -> Array:
+    """(F, Q) shapes of every frame of a film, between those of a few of them: of several equilibria those nearby."""
+    known, wanted = (one.observations.time[one.frames] for one in (few, every))
+    rows = [np.interp(wanted, known, column) for column in q[: len(known)].T]
+    return np.concatenate([np.stack(rows, axis=1), q[len(known) :]])
 
 
 # Static poses may have several equilibria. Poses without a stable one near their points wait; at each maximum all poses

@@ -24,14 +24,19 @@ from onebend.records import Array, BoolArray, IntArray
 # Displacements are over the beam's length; the priors follow the largest one so far (`course_scale`).
 
 
-def course_of_frame(marker_s: Array, beam_length: float, tag_size: float, *, thick: bool) -> PushCourse:
-    """One frame under a force of one newton, unbent; `tag_size` m, NaN where not known."""
+def course_of_frame(
+    marker_s: Array, beam_length: float, tag_size: float, *, thick: bool, traced: BoolArray | None = None
+) -> PushCourse:
+    """One frame under a force of one newton, unbent; `tag_size` m, NaN where not known; the `traced` (m,) of its
+    markers are points of an outline, none where not given."""
     rest, m = np.zeros(1), len(marker_s)
+    traced = np.zeros(m, dtype=bool) if traced is None else traced
     return PushCourse(
         length=beam_length,
         marker_s=marker_s,
-        on_body=np.ones(m, dtype=bool),
-        tags=tuple(f"tag {i}" for i in range(1, m + 1)),
+        on_body=~traced,
+        across=across_of(np.zeros(m), traced)[None],
+        tags=tuple(f"tag {i}" for i in np.flatnonzero(~traced) + 1),
         tag_size=tag_size,
         thick=thick,
         friction_sd=0.0,
@@ -44,6 +49,11 @@ def course_of_frame(marker_s: Array, beam_length: float, tag_size: float, *, thi
         elapsed=rest,
         turn=np.zeros((1, m)),
     )
+
+
+def across_of(angle: Array, traced: BoolArray) -> Array:
+    """(m, 2) unit vectors across an outline at its `traced` points (m,), where it has these angles (m,); else zeros."""
+    return np.stack([-np.sin(angle), np.cos(angle)], axis=1) * traced[:, None]
 
 
 @dataclass(frozen=True)
@@ -100,6 +110,7 @@ class CourseSoFar:
         self._turn = np.where(visible, turn, self._turn)
         course = replace(
             self._course,
+            across=across_of(angle, ~self._course.on_body)[None],
             force=force[None],
             push_s=np.array([push_s]),
             bend=np.array([bend]),
@@ -110,9 +121,9 @@ class CourseSoFar:
         return np.concatenate([np.zeros(0), *(a.basis.ravel() for a in found)])
 
     def rest(self, angle: Array, visible: BoolArray) -> Array:
-        """(count,) zeros, of the next frame, at rest."""
+        """(count,) of the next frame, at rest."""
         self._rest[visible], self._turn = angle[visible], np.zeros_like(self._turn)
-        return np.zeros(self._terms.count)
+        return self.terms(angle, visible, np.zeros(2), 1.0, bend=0.0, back=False)
 
 
 _FINE = 0.005  # of the largest displacement: smaller differences are not kept
@@ -185,6 +196,7 @@ class KeyFrames:
     """Room for K frames; the first `used` are taken, in order of time. In few arrays, to move a frame quickly."""
 
     used: int
+    traced: BoolArray  # (m,) which of the markers are points of an outline, and no tags
     numbers: Array  # (K, 13 + terms)
     flags: BoolArray  # (K, 3): `rest`, `stale`, `lost`
     measured: Array  # (K, m, 3)
@@ -270,15 +282,16 @@ class KeyFrames:
         self.rows[i] = (self.root[i] @ self.linear[i]).reshape(self.rows.shape[1:])
 
 
-def empty(most: int, tags: int, parameters: int, nodes: int, terms: int) -> KeyFrames:
+def empty(most: int, traced: BoolArray, parameters: int, nodes: int, terms: int) -> KeyFrames:
     """Room for `most` key frames, two new ones, and two averages in the making."""
-    count = most + 4
+    count, tags = most + 4, len(traced)
 
     def room(*shape: int) -> Array:
         return np.zeros((count, *shape))
 
     return KeyFrames(
         used=0,
+        traced=traced,
         numbers=room(13 + terms),
         flags=np.zeros((count, 3), dtype=bool),
         measured=room(tags, 3),
@@ -372,7 +385,7 @@ def accept_average(keys: KeyFrames, i: int, slot: int, x: Array) -> None:
 
 @dataclass(frozen=True)
 class CheckedFrame:
-    """m tags and a force at one time."""
+    """m tags, or points of an outline, and a force at one time."""
 
     time: float  # s
     measured: Array  # (m, 3) m, m, rad; 0 where not seen
@@ -385,8 +398,11 @@ class CheckedFrame:
     gravity: Array  # (2,) m/s^2
 
 
+_FREE = np.eye(3)  # m^2, rad^2: covariance of what is not measured of an outline's point
+
+
 def checked_frame(
-    tags: int,
+    traced: BoolArray,
     time: float,
     xy: ArrayLike,
     angle: ArrayLike,
@@ -396,7 +412,9 @@ def checked_frame(
     loaded: bool,
     gravity: ArrayLike,
 ) -> CheckedFrame:
-    """A frame of `tags` tags. Raises `LearningError` where something does not fit or is not finite."""
+    """A frame of m markers. The `traced` (m,) are points of an outline with its direction for an angle: only what is
+    across it counts. Raises `LearningError` where something does not fit or is not finite."""
+    tags = len(traced)
     position = _array(xy, (tags, 2), "xy", time)
     turn = _array(angle, (tags,), "angle", time)
     spread = _array(covariance, (tags, 3, 3), "covariance", time)
@@ -415,6 +433,9 @@ def checked_frame(
         raise LearningError(f"frame at {time:g} s: a tag at infinity; give NaN where a tag is not seen")
     visible = np.asarray(np.all(np.isfinite(measured), axis=1) & np.all(np.isfinite(spread), axis=(1, 2)))
     spread = np.where(visible[:, None, None], spread, np.eye(3))
+    across = np.pad(across_of(np.where(visible, turn, 0.0), traced), ((0, 0), (0, 1)))
+    only = across[:, :, None] * across[:, None]  # projects on it
+    spread = np.where(traced[:, None, None], _FREE - only + only @ spread @ only, spread)
     try:
         lower = np.linalg.cholesky(spread)
     except np.linalg.LinAlgError as error:

@@ -51,6 +51,7 @@ class OnlineLearner:
         marker_s: ArrayLike,
         start: Profile | float | UncertainStiffness,
         *,
+        traced: ArrayLike | None = None,
         mass: float = 0.0,
         gain_sd: float = 0.0,
         settings: OnlineSettings = OnlineSettings(),
@@ -60,6 +61,7 @@ class OnlineLearner:
         Args:
             length: m.
             marker_s: (m,) the tags' places along the beam.
+            traced: (m,) which of them are points of the body's outline; None: none. Only what is across it counts.
             start: stiffness to begin with [N m], a poor guess will do; or what a fit has found, to go on from there.
             mass: kg, needed where gravity acts in the plane.
             gain_sd: of the force sensor's common scale; it widens the band and is not learned.
@@ -77,6 +79,7 @@ class OnlineLearner:
             Spline(settings.functions),
             s,
             settings.sds,
+            traced=None if traced is None else np.asarray(traced, dtype=bool),
             length=length,
             mass=mass,
             allowances=settings.allowances - self._held,
@@ -106,7 +109,7 @@ class OnlineLearner:
         Args:
             time: s, later than the frame before.
             xy: (m, 2) m, the tags in the beam's frame; NaN where not seen.
-            angle: (m,) rad, whole turns do not matter; NaN where not seen.
+            angle: (m,) rad, whole turns do not matter; NaN where not seen. Of an outline's point its direction there.
             covariance: (m, 3, 3) of (x, y, angle) of every tag.
             force: (2,) N on the beam, in its frame, as logged.
             push_s: place of the force.
@@ -119,8 +122,8 @@ class OnlineLearner:
                 is not positive definite, time that does not go on, a place outside (0, 1], gravity without mass. The
                 learner stays as it was.
         """
-        tags = len(self._session.observations.marker_s)
-        frame = checked_frame(tags, time, xy, angle, covariance, force, push_s, loaded, gravity)
+        traced = ~self._session.course.on_body
+        tags, frame = len(traced), checked_frame(traced, time, xy, angle, covariance, force, push_s, loaded, gravity)
         if self._last is not None and not time > self._last[0]:
             raise LearningError(f"frames must come in order of time: {time:g} s after {self._last[0]:g} s")
         if np.any(frame.gravity != 0.0) and self._session.observations.stated.mass <= 0.0:

@@ -19,11 +19,12 @@ from onebend.learning.linear import FitProblem, Hyperparameters
 from onebend.learning.parameters import MASS_SPREAD, STATED_ERRORS, Layout, Spline, inside, layout_of, without_recording
 from onebend.learning.prediction import predict
 from onebend.live.key_frames import FrameTerms, KeyFrames, course_of_frame, course_scale
-from onebend.records import Array, Observations, Source, Stated
+from onebend.records import Array, BoolArray, Observations, Source, Stated, tags_among
 
 RESOLUTION = Resolution(order=12, widest=0.5)  # coarser than the fit's, for time's sake
 MOST_NODES = 3 * RESOLUTION.order  # of a push anywhere
 _NEAR = ContinuationSettings(last=1e-3)  # rad: the error is about its square
+_STILL = ("log k", "section", "length")  # where allowances enter that do not go with the frames
 _GRIDS = 50  # over the length; a push between two places acts along the tangent from the nearer one
 # Parts of the curvature that those which lag behind it (`TIMES`) are taken to reach: on the way k is the secant
 # stiffness of such a push.
@@ -67,7 +68,8 @@ class LiveSession:
         fine, o = self.layout.spline.finer, self.observations
         if "patches" not in self.columns:
             return np.zeros((fine.count, 0))
-        return fine.nearest(lambda s: effects.patch_functions(o.marker_s, o.length, o.stated.tag_size, s))
+        tags = o.marker_s[tags_among(o)]
+        return fine.nearest(lambda s: effects.patch_functions(tags, o.length, o.stated.tag_size, s))
 
 
 @dataclass(frozen=True)
@@ -87,18 +89,20 @@ def session_of(
     marker_s: Array,
     sds: Mapping[str, float],
     *,
+    traced: BoolArray | None = None,
     length: float,
     mass: float,
     allowances: frozenset[str] = frozenset(),
     thickness: float = math.nan,
     tag_size: float = math.nan,
 ) -> LiveSession:
-    """One beam under one camera; the force's error is a process and not among the parameters.
+    """One beam under one camera; the force's error is a process and not among the parameters. `traced` as of
+    `course_of_frame`.
 
     `sds`: of `STATED_ERRORS` by name, else as usual; without "scale" the camera is calibrated, and without "clock"
     camera and force log share one clock. Allowances that are not wanted are frozen.
     """
-    course = course_of_frame(marker_s, length, tag_size, thick=bool(np.isfinite(thickness)))
+    course = course_of_frame(marker_s, length, tag_size, thick=bool(np.isfinite(thickness)), traced=traced)
     wanted: list[effects.Allowance] = []
     for one in STATED_ERRORS:
         sd: float | Array = sds.get(one.name, one.usual)
@@ -132,6 +136,7 @@ def session_of(
         rest_angle=missing[0, :, 2],
         rest_covariance=np.zeros((m, 3, 3)),
         gravity=np.array([[0.0, -1.0 if mass > 0.0 else 0.0]]),
+        traced=traced,
     )
     return LiveSession(shown, layout, course, every)
 
@@ -146,9 +151,11 @@ def pushed_at(session: LiveSession, push_s: float) -> FitData:
     """One frame under a push at `push_s`, as the fit has it."""
     o = replace(session.observations, push_s=np.array([push_s]))
     data = fit_data(o, 0, np.ones(1, dtype=bool), session.layout.spline, resolution=RESOLUTION)
-    under_tags = effects.patch_means(o.marker_s, o.length, o.stated.tag_size, data.problem.grid)
-    still = [a for a in session.allowances if a.name in session.columns and a.enters in ("log k", "section", "length")]
-    return replace(data, allowances=tuple(replace(a, basis=under_tags) if a.enters == "log k" else a for a in still))
+    still = {a.name: a for a in session.allowances if a.name in session.columns and a.enters in _STILL}
+    if "patches" in still:
+        under_tags = effects.patch_means(o.marker_s[data.tags], o.length, o.stated.tag_size, data.problem.grid)
+        still["patches"] = replace(still["patches"], basis=under_tags)
+    return replace(data, allowances=tuple(still.values()))
 
 
 def problem_of(

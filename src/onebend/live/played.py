@@ -97,7 +97,7 @@ class PlayedCamera(Playing[Frame]):
         frames = iter(read_frames(self.film) if isinstance(self.film, VideoEntry) else self.film)
         first = next(frames, None)  # so that what is no film is told now
         shown = frames if first is None else chain([first], frames)
-        return (Frame(one.luma, one.time, one.time + FRAME_DELAY, one.index) for one in shown)
+        return (Frame(one.luma, one.time, one.time + FRAME_DELAY, one.index, one.colour) for one in shown)
 
 
 class PlayedForce(Playing[Samples]):

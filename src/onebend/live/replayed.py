@@ -9,14 +9,13 @@ import numpy as np
 from onebend.beam.stiffness import Profile, UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.force_error import ForceError, force_error, ramp
-from onebend.learning.frames import push_places, usable_frames
+from onebend.learning.frames import of_tags, push_places, usable_frames
 from onebend.learning.parameters import STATED_ERRORS, Spline, make_layout
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.learner import OnlineLearner
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, Observations, covariance_with_camera, tags_among
 
-MOST_POINTS = 14  # of an outline, evenly along the body: more take longer and tell little more
 _MARGIN = 0.2  # s, kept away from contact when the rests are read
 _REST_STEP = 0.05  # s, between two looks at the log where no film was made
 _LONGER, _LEAST_DOUBT = 1.5, 0.1  # a filter makes memories alike: how much, by trial
@@ -24,30 +23,9 @@ _FAST = 0.2  # of the force error that lasts: what it is off by in every frame a
 
 
 def taken(observations: Observations) -> Observations:
-    """What the live learner takes: the tags or, of a body without tags, some points of its outline as tags of which no
-    angle is known. An error that the outline has in common in all frames counts as placement of these tags."""
-    o, tags = observations, np.flatnonzero(tags_among(observations))
-    if o.traced is None:
-        return o
-    m = len(o.marker_s)
-    kept = tags if len(tags) else np.unique(np.linspace(0, m - 1, MOST_POINTS).round().astype(np.int64))
-    covariance, rest_covariance = o.covariance[:, kept].copy(), o.rest_covariance[kept].copy()
-    for one in () if len(tags) else (covariance, rest_covariance):
-        one[..., 2, :] = one[..., :, 2] = 0.0
-        one[..., 2, 2] = 1.0  # rad^2
-    return replace(
-        o,
-        tag_id=o.tag_id[kept],
-        marker_s=o.marker_s[kept],
-        xy=o.xy[:, kept],
-        angle=o.angle[:, kept],
-        covariance=covariance,
-        rest_xy=o.rest_xy[kept],
-        rest_angle=o.rest_angle[kept],
-        rest_covariance=rest_covariance,
-        by_camera=None if o.by_camera is None else o.by_camera[:, kept],
-        traced=None,
-    )
+    """What the live learner takes: the tags or, of a body without tags, the points of its outline."""
+    tags = tags_among(observations)
+    return of_tags(observations, tags) if tags.any() else observations
 
 
 @one_blas_thread
@@ -73,6 +51,7 @@ def replay(
         o.length,
         o.marker_s,
         start,
+        traced=o.traced,
         mass=o.stated.mass if np.isfinite(o.stated.mass) else 0.0,
         gain_sd=gain_sd,
         settings=settings_for(o, settings),
@@ -111,7 +90,8 @@ def _sds(o: Observations, settings: OnlineSettings) -> dict[str, float]:
     """Of `STATED_ERRORS` but the mass, as the recording states them where the settings do not."""
     at = make_layout(Spline(settings.functions), [o], [0])
     blocks = {one.name: at.index[one.name, -1 if one.shared else 0] for one in STATED_ERRORS if one.name != "mass"}
-    return {name: float(block.prior_sd[0]) for name, block in blocks.items()} | dict(settings.sds)
+    known = {name: block.prior_sd for name, block in blocks.items() if len(block.prior_sd)}  # an outline has no places
+    return {name: float(sd[0]) for name, sd in known.items()} | dict(settings.sds)
 
 
 def _memory(error: ForceError, times: float) -> float:

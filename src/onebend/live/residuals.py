@@ -14,7 +14,7 @@ from onebend.report.sentences import say
 # frames show the error of averages, so errors that last count with their correlation time.
 
 _BULK = 5.0  # sd: larger residuals are cut off there
-_LEAST = 0.02  # over the tags' covariances: the smallest size
+_LEAST = 0.02  # over the tags' covariances: the smallest size; an outline's noise is at least as stated, as in the fit
 _GUESS_COUNTS = 60.0  # the first value weighs as much as so many residuals
 _NO_FORCE = 1e-9  # 1/N^2: added, so that a force that moves no tag comes out as zero
 
@@ -26,6 +26,14 @@ def tag_residuals(keys: KeyFrames, solution: KeyFramePosterior) -> Array:
     return np.asarray(
         keys.rows_z[:used] - keys.rows_j[:used] @ solution.x + (keys.rows_a[:used] @ e[..., None])[..., 0]
     )
+
+
+def counted(keys: KeyFrames, residual: Array) -> Array:
+    """(K, 3 m) whitened residuals (K, 3 m), of an outline's points the one number that counts."""
+    out = residual.reshape(len(residual), len(keys.traced), 3).copy()
+    across = np.linalg.norm(out[:, keys.traced], axis=-1)
+    out[:, keys.traced] = across[..., None] * np.array([1.0, 0.0, 0.0])
+    return np.asarray(out.reshape(residual.shape))
 
 
 def force_in(residual: Array, a: Array) -> Array:
@@ -60,7 +68,7 @@ def tag_noise_size(keys: KeyFrames, residual: Array, spent: float, expected: flo
     `spent`: effective number of parameters; `expected`: the size before the data.
     """
     loaded = ~keys.rest[: keys.used]
-    r = without_force(residual[loaded], keys.rows_a[: keys.used][loaded])
+    r = counted(keys, without_force(residual[loaded], keys.rows_a[: keys.used][loaded]))
     numbers = float(np.count_nonzero(r)) - 2.0 * len(r)
     if numbers <= 0.0:
         return expected
@@ -70,7 +78,7 @@ def tag_noise_size(keys: KeyFrames, residual: Array, spent: float, expected: flo
     mean_square = (float(np.sum(np.minimum(sizes, most) ** 2)) + _GUESS_COUNTS * expected**2) / (
         left_over + _GUESS_COUNTS
     )
-    return max(float(np.sqrt(mean_square)), _LEAST)
+    return max(float(np.sqrt(mean_square)), 1.0 if keys.traced.all() else _LEAST)
 
 
 def surprise(
@@ -106,7 +114,7 @@ def misfit(keys: KeyFrames, marker: float) -> float:
     """
     loaded = ~keys.rest[: keys.used]
     residual = (keys.root[: keys.used] @ keys.residual[: keys.used][..., None]).reshape(keys.used, -1)[loaded]
-    r = without_force(residual, keys.rows_a[: keys.used][loaded])
+    r = counted(keys, without_force(residual, keys.rows_a[: keys.used][loaded]))
     size = float(np.sqrt(np.vdot(r, r) / max(np.count_nonzero(r) - 2.0 * len(r), 1.0)))
     return size if size > _ROUGH * marker else 0.0
 
@@ -138,15 +146,20 @@ def missed_tag(keys: KeyFrames) -> str:
     counts = np.maximum(frames.sum(axis=0), 1.0)  # (m,) frames
     force = force_in((keys.root[:used] @ keys.residual[:used][..., None]).reshape(used, -1), keys.rows_a[:used])
     residual = keys.residual[:used, :, :2] - (keys.a[:used, :, :2] @ force[:, None, :, None])[..., 0]
+    told, traced = keys.information[:used, :, :2, :2], keys.traced
+    of_xy = np.maximum(np.trace(told, axis1=2, axis2=3), 1e-300)
+    across = (told @ residual[..., None])[..., 0] / of_xy[..., None]  # of an outline's points what is measured
+    residual = np.where(traced[:, None], across, residual)
     rms = np.sqrt((frames[..., None] * residual**2).sum(axis=(0, 2)) / counts)
-    of_xy = (pushed * (keys.information[:used, :, 0, 0] + keys.information[:used, :, 1, 1])).sum(axis=0)
-    noise = 2.0 / np.sqrt(np.maximum(of_xy / counts, 1e-300))  # m, of one frame, x and y alike
+    noise = np.where(traced, 1.0, 2.0) / np.sqrt(np.maximum((pushed * of_xy).sum(axis=0) / counts, 1e-300))  # m
     motion = _motion(keys.measured[:used, :, :2], visible)
+    motion = np.where(traced, np.max(motion, initial=0.0, where=np.isfinite(motion)), motion)
     share = np.where(np.any(pushed, axis=0) & (rms > _CLEAR_MISS * noise), rms / np.maximum(motion, 1e-300), 0.0)
     worst = int(np.argmax(share))
     if share[worst] <= MISS:
         return ""
-    return say("live: tag missed", tag=worst + 1, rms=rms[worst], motion=motion[worst])
+    what = "the outline" if traced[worst] else f"tag {worst + 1}"
+    return say("live: tag missed", tag=what, rms=rms[worst], motion=motion[worst])
 
 
 def _motion(xy: Array, visible: BoolArray) -> Array:

@@ -84,10 +84,11 @@ class Smoother:
     """All state of a live learner; its size is fixed when it is made."""
 
     def __init__(self, session: LiveSession, start: Start, settings: OnlineSettings) -> None:
-        tags, n = len(session.observations.marker_s), session.layout.size
+        traced, n = ~session.course.on_body, session.layout.size
+        tags = len(traced)
         self.x = start.x  # (n,) the estimate
         self.point = start.x  # (n,) where all frames are linearised, or their mismatch would look like information
-        self.keys = key_frames.empty(settings.key_frames, tags, n, MOST_NODES, session.terms.count)
+        self.keys = key_frames.empty(settings.key_frames, traced, n, MOST_NODES, session.terms.count)
         self.marginalised = nothing_marginalised(n)
         self._session, self._start, self._settings = session, start, settings
         spline, noise = session.layout.spline, RecordingNoise(settings.marker_noise, settings.force.white)

@@ -57,6 +57,7 @@ FAR = 0.4  # of `REACH`: a curve that is farther from its prediction is searched
 WIDE = 2.0  # px: so far off may the width at one station be
 LOST = 0.75  # of the share of stations that usually show the body: with fewer it is elsewhere
 USUAL = 60  # pictures, of which the usual share is taken
+STEADY = 0.3  # of a change from picture to picture is taken for motion, where it is not that of the ones before
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ class FlankFollower:
         self.place = place
         self.body: OutlinedBody | None = None  # in the first picture
         self._seen: deque[float] = deque(maxlen=USUAL)
-        self._before: tuple[Array, Array] | None = None
+        self._last: tuple[Array, Array, Array] | None = None  # the curve's numbers, their last and their usual change
 
     def step(self, sight: Sight) -> tuple[Array, Array]:
         """(1 + K,) numbers of the curve along which the flanks were looked for, and (2, M) m from it to them.
@@ -95,10 +96,11 @@ class FlankFollower:
             ObservationError: the first picture shows no body beside the clamp.
         """
         body = self.body = self.body or grown(sight, self.place)
-        last, one_more = (body.state, body.state) if self._before is None else self._before
+        still = np.zeros_like(body.state)
+        last, newest, usual = (body.state, still, still) if self._last is None else self._last
         least = LOST * (float(np.median(self._seen)) if self._seen else 0.0)
         best: tuple[float, Array, Array, Array] | None = None
-        for start in (2.0 * last - one_more, last, body.state):
+        for start in (last + usual, last + newest, last, body.state):
             tried = _near(sight, self.place, body, start)
             best = tried if best is None or tried[0] > best[0] else best
             if best[0] > least:
@@ -106,9 +108,9 @@ class FlankFollower:
         assert best is not None
         share, state, away, new = best
         if not share > least:
-            self._before = last, last
+            self._last = last, still, still
             return state, np.full_like(away, np.nan)
-        self._before = (new, new) if self._before is None else (new, last)
+        self._last = new, new - last, usual + STEADY * (new - last - usual)
         self._seen.append(share)
         return state, away
 

@@ -38,6 +38,7 @@ class FilmFrame:
     index: int
     time: float  # s since the first frame, the video's own clock
     luma: Picture  # (H, W), as a person sees it (rotation of the camera taken off); not to be written to
+    colour: Any = None  # the same as `av.VideoFrame`; None of bags, and of a camera that was turned
 
 
 def read_frames(video: VideoEntry, keep: Keep | None = None) -> Iterator[FilmFrame]:
@@ -52,7 +53,8 @@ def read_frames(video: VideoEntry, keep: Keep | None = None) -> Iterator[FilmFra
     for index, time, raw in timed(video):
         if keep is not None and not video.topic:
             keep(video, index, raw)
-        yield FilmFrame(index, time, picture_in(video, index, raw))
+        colour = None if video.topic or raw.rotation % 360 else raw
+        yield FilmFrame(index, time, picture_in(video, index, raw), colour)
 
 
 def picture_in(video: VideoEntry, index: int, raw: Any, *, colour: bool = False) -> Picture:

@@ -25,13 +25,16 @@ from onebend.learning.optimizer import (
     _at_mean_stiffness,
     _coarse,
     _misfit,
+    carried_over,
     descend,
     estimate_at,
     find_maximum,
+    first_problem,
 )
 from onebend.learning.parameters import Layout, Spline
 from onebend.progress import Silent
 from onebend.records import Array
+from tests.learning.bench import IDEAL, SOFT, observed
 from tests.learning.inference.test_hyperparameters import evidence_of
 
 SETTINGS = OptimizerSettings(rounds=20)
@@ -126,6 +129,23 @@ def test_the_answer_is_at_the_mean_of_log_k_with_all_else_refitted() -> None:
     np.testing.assert_allclose(x[:8], wanted, atol=1e-4)
     assert np.max(np.abs(x[8:] - settled.x[8:])) > 1e-6
     np.testing.assert_array_equal(predictions[0].x, x)
+
+
+def test_all_frames_stay_in_the_equilibria_that_a_few_of_them_have_found() -> None:
+    """Beyond the buckling load there are two. From rest a slight force to the right leads to that on the right."""
+    load = np.linspace(3.5, 4.5, 30) * 0.02 / SOFT.length
+    made = observed(SOFT, np.stack([-load, -1e-3 * load], axis=1), noise=(1e-5, 1e-3))
+    (few, x), (whole, start) = (first_problem([made], 0.02, replace(IDEAL, first_frames=n)) for n in (6, 30))
+
+    def tips(estimate: MapEstimate) -> list[bool]:
+        return [bool(left) for left in estimate.predictions[0].pose[: len(load), -1, 1] > 0.0]
+
+    on_the_right = estimate_at(few, x)
+    assert not any(tips(on_the_right) + tips(estimate_at(whole, start)))
+    on_the_left = estimate_at(few, x, [-on_the_right.predictions[0].solved.q])
+    on_the_left = replace(on_the_left, hyperparameters=few.expected)
+    assert all(tips(on_the_left)[:6])
+    assert all(tips(carried_over(few, on_the_left, whole, [0])))
 
 
 def test_far_from_the_maximum_the_tags_noise_is_that_of_their_residuals() -> None:

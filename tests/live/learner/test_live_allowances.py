@@ -21,6 +21,7 @@ from onebend.learning.allowances import (
     reached_part,
 )
 from onebend.learning.fit_data import fit_data
+from onebend.learning.frames import at_frames
 from onebend.learning.parameters import Spline, make_layout
 from onebend.learning.posterior import fit
 from onebend.learning.prediction import predict
@@ -28,10 +29,11 @@ from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.key_frames import CourseSoFar, FrameTerms, course_of_frame, course_scale
 from onebend.live.learner import OnlineLearner
 from onebend.live.model import pushed_at
-from onebend.live.replayed import replay, settings_for
+from onebend.live.replayed import live_frames, replay, settings_for
 from onebend.records import Array, Observations
 from tests.learning.allowances.allowed_bench import PUSH_S, TAGS, course, filmed
 from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
+from tests.learning.test_outline_fit import traced
 from tests.live.streamed_recording import IDEAL_LIVE, NOISE, S
 from tests.made_up import with_stated
 
@@ -130,6 +132,27 @@ def test_stretch_shear_and_relaxation_are_learned_and_the_band_holds() -> None:
     assert share.sd < 0.9 * share.prior_sd
     ideal = replay(made, 0.03, settings=replace(IDEAL_LIVE, functions=12)).stiffness.log_at(S)
     assert np.sqrt(np.mean(((ideal[0] - log_k) / ideal[1]) ** 2)) > 2.0
+
+
+def test_of_an_outline_only_what_is_across_it_counts() -> None:
+    """Points that lie farther along the body than written tell the same; no effect of a tag is allowed for."""
+    straight, slipped = (replay(traced(off), 0.03, settings=FEW) for off in (0.0, 3e-4))
+    np.testing.assert_allclose(slipped.stiffness.log_at(S)[0], straight.stiffness.log_at(S)[0], atol=0.02)
+    assert np.sqrt(np.mean((straight.stiffness.log_at(S)[0] - np.log(SOFT.stiffness(S))) ** 2)) < 0.08
+    names = {one.name for one in straight.nuisances()}
+    assert {"edges lie off in y", "outline error grows0"} <= names
+    assert not any("tag" in name for name in names)
+    assert straight.hyperparameters.marker >= 1.0
+
+
+def test_a_point_that_is_far_across_the_outline_is_left_out() -> None:
+    made = traced()
+    learner = replay(at_frames(made, np.arange(len(made.time)) < 20), 0.03, settings=FEW)
+    along = np.stack([np.cos(made.angle[20]), np.sin(made.angle[20])], axis=-1)
+    across = along[:, ::-1] * np.array([-1.0, 1.0])
+    far = made.xy[20] + 2e-3 * np.where(np.arange(len(along))[:, None] == 9, across, along)
+    frame = replace(live_frames(at_frames(made, np.arange(len(made.time)) == 20))[0], xy=far)
+    assert np.flatnonzero(~learner.update(**vars(frame)).accepted).tolist() == [9]
 
 
 def test_what_the_beam_remembers_is_that_of_all_frames_in_turn() -> None:

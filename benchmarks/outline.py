@@ -1,0 +1,163 @@
+"""k(s) from an outline, from tags, and from both: virtual pushes with effects drawn at random, by the fit and live.
+
+The benches are those of `benchmarks.real_bench`. A body without tags has no stiff patches. An outline is 30 points with
+white noise across it, an error that is smooth along the body and slow in time, one that grows with the bending, and
+light from one side. Shares are of places s from 0.05 to 0.9 of the push's place.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import defaultdict
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.real_bench import CELLS, LEVELS, PLACES as COUNT, bench_of
+from onebend.beam.stiffness import UncertainStiffness
+from onebend.errors import LearningError, MechanicsError, ObservationError
+from onebend.lab.bench import coloured
+from onebend.lab.virtual import VirtualBench, VirtualRecording, from_base, standing, true_stiffness, virtual_recording
+from onebend.learning.posterior import stiffness_of
+from onebend.learning.start import start_of
+from onebend.live.replayed import replay
+from onebend.pipeline import learn_observed
+from onebend.recording.observe import ObserveSettings, assemble
+from onebend.recording.outline import PLACES
+from onebend.records import POINT_ID, Array, Markers, Observations
+
+WHITE, SLOW, GROWS, LIGHT = 2e-5, 3e-5, 4e-5, 1e-4  # m, one sd
+SLOW_TIME, TERMS = 1.0, 6  # s; Legendre polynomials along the body
+KINDS = ("tags", "outline", "both")
+
+
+def outline_of(made: VirtualRecording, rng: np.random.Generator) -> Markers:
+    """The outline's points in every frame."""
+    bench, time = made.bench, made.markers.time
+    on_beam = standing(bench.beam, made.force, bench.push.at_s, PLACES)
+    if made.motion is not None:
+        on_beam = made.motion.poses(time, PLACES)
+    pose = from_base(on_beam, bench.base)
+    across = np.stack([-np.sin(pose[..., 2]), np.cos(pose[..., 2])], axis=-1)
+    along = np.polynomial.legendre.legvander(2.0 * PLACES - 1.0, TERMS - 1) / np.sqrt(TERMS)
+    away = np.linalg.norm(pose[:, -1, :2] - pose[0, -1, :2], axis=-1)
+    slow = [coloured(len(time), 1.0 / bench.fps, SLOW_TIME, rng) for _ in range(TERMS // 2)]
+    error = WHITE * rng.standard_normal(pose.shape[:2]) + SLOW * np.concatenate(slow, axis=1) @ along.T
+    error += GROWS * (away / away.max())[:, None] * (along @ rng.standard_normal(TERMS))
+    error += across @ (LIGHT * rng.standard_normal(2))
+    frames = 2.0 * SLOW_TIME * bench.fps  # that an error lasts
+    sd = np.sqrt(WHITE**2 + frames * SLOW**2) * np.array([1.0, 1.0, 100.0])
+    m = len(PLACES)
+    return replace(
+        made.markers,
+        tag_id=POINT_ID + np.rint(1e3 * PLACES).astype(int),
+        s=PLACES,
+        xy=pose[..., :2] + error[..., None] * across,
+        angle=pose[..., 2],
+        covariance=np.tile(np.diag(sd**2), (len(time), m, 1, 1)),
+        traced=np.ones(m, dtype=bool),
+    )
+
+
+def beside(tags: Markers, outline: Markers) -> Markers:
+    """Both, in the order of their places."""
+    s = np.concatenate([tags.s, outline.s])
+    order = np.argsort(s, kind="stable")
+
+    def joined(name: str, axis: int) -> Any:
+        return np.take(np.concatenate([getattr(tags, name), getattr(outline, name)], axis=axis), order, axis=axis)
+
+    return replace(
+        tags,
+        tag_id=joined("tag_id", 0),
+        s=s[order],
+        xy=joined("xy", 1),
+        angle=joined("angle", 1),
+        covariance=joined("covariance", 1),
+        traced=order >= len(tags.s),
+    )
+
+
+def observed(bench: VirtualBench, kind: str, seed: int) -> tuple[Observations, VirtualRecording]:
+    """One push, of a body without tags where it is of the outline alone."""
+    if kind == "outline":
+        bench = replace(bench, effects=replace(bench.effects, patch_factor=1.0))
+    made = virtual_recording(bench, seed=seed)
+    rec, markers = made.recording, made.markers
+    if kind != "tags":
+        outline = outline_of(made, np.random.default_rng([seed, 5]))
+        markers = beside(markers, outline) if kind == "both" else outline
+        rec = rec if kind == "both" else replace(rec, tags=replace(rec.tags, on_beam=()))
+    return assemble(rec, markers, made.log, None, ObserveSettings()), made
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One result against its truth."""
+
+    error: float  # RMS of log k
+    inside: tuple[float, ...]  # share of places inside the bands of LEVELS
+    width: float  # half the 95 % band of log k, median
+    trusted: bool
+
+
+def judged(stiffness: UncertainStiffness, s: Array, truth: Array, trusted: bool) -> Outcome:
+    """Its band as it is, whatever the verdict."""
+    bands = [stiffness.band(s, level) for level in LEVELS]
+    error = float(np.sqrt(np.mean((stiffness.log_at(s)[0] - np.log(truth)) ** 2)))
+    inside = tuple(float(np.mean((truth > b.low) & (truth < b.high))) for b in bands)
+    return Outcome(error, inside, float(np.median(0.5 * np.log(bands[-1].high / bands[-1].low))), trusted)
+
+
+def run(bench: VirtualBench, kind: str, seed: int, fits: bool) -> dict[str, Outcome]:
+    """Make, observe, learn live and as a whole, compare."""
+    seen, made = observed(bench, kind, seed)
+    s = np.linspace(0.05, 0.9 * bench.push.at_s, COUNT)
+    truth = true_stiffness(made.bench, made.motion, s).k
+    learner = replay(seen, start_of([seen], None), gain_sd=bench.declared.gain_sd)
+    out = {"live": judged(learner.stiffness, s, truth, not learner.doubts)}
+    if fits:
+        found = learn_observed(seen).posterior
+        assert found is not None
+        whole = stiffness_of(found.problem, found.optimum, found.gain_sd)
+        out["fit"] = judged(whole, s, truth, not found.doubts)
+    return out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, nargs=2, default=(0, 20), metavar=("FIRST", "LAST"))
+    parser.add_argument("--cell", default="all", choices=CELLS, help="effects, as of benchmarks.real_bench")
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
+    parser.add_argument("--live", action="store_true", help="no fits")
+    parser.add_argument("--each", action="store_true", help="a line for each push")
+    asked = parser.parse_args()
+    done: dict[tuple[str, str], list[Outcome]] = defaultdict(list)
+    for seed in range(*asked.seeds):
+        bench, _ = bench_of(asked.cell, seed)
+        for kind in asked.kinds:
+            try:
+                found = run(bench, kind, seed, not asked.live)
+            except (LearningError, MechanicsError, ObservationError) as wrong:
+                print(f"seed {seed}, {kind}: {wrong}", file=sys.stderr)
+                continue
+            for how, one in found.items():
+                done[kind, how].append(one)
+                if asked.each:
+                    print(seed, kind, how, one, file=sys.stderr, flush=True)
+    print("| from | learned | pushes | error, median / mean | inside the 50 / 80 / 95 % band | half-width | trusted |")
+    print("| --- " * 7 + "|")
+    for (kind, how), runs in done.items():
+        error = np.array([one.error for one in runs])
+        inside = " / ".join(f"{100.0 * v:.0f}" for v in np.mean([one.inside for one in runs], axis=0))
+        width, trusted = np.median([one.width for one in runs]), np.mean([one.trusted for one in runs])
+        print(
+            f"| {kind} | {how} | {len(runs)} | {np.median(error):.3f} / {np.mean(error):.3f} | {inside} % "
+            f"| {width:.3f} | {100.0 * trusted:.0f} % |"
+        )
+
+
+if __name__ == "__main__":
+    main()
