@@ -29,7 +29,8 @@ _CLOSE, _MOST_FOLLOWED = (
     0.3,
     8,
 )  # the last step of a frame after the other; rounds, each with the noise as it counts there
-_ROUNDING = 1e-12  # of the variance of all that frames share: next to it noise is lost in rounding
+_ROUNDING = 1e-12  # of the variance of all that frames share: next to it noise of sd one is lost in rounding
+_ROUNDS, _SETTLED = 8, 0.03  # with the noise as it counts where a search has ended, and posterior sds of the last step
 _HALVINGS = 6  # of a first force under which the beam does not stand
 PLACE_PRIOR = (0.5, 0.29)  # mean and sd of a place of which nothing is known: those of an even spread over the beam
 
@@ -45,6 +46,12 @@ class Estimates:
     objective: Array  # (F,) squared residuals, whitened, and the prior's part
     chi2: Array  # (F,) squared residuals, whitened
     pose: Array  # (F, m, 3) the tags that belong to it
+    settled: BoolArray  # (F,) nearly the same with noise as it counts there
+
+    def put(self, rows: IntArray, other: Estimates) -> None:
+        """Estimates of some frames in their place."""
+        for name, values in vars(self).items():
+            values[rows] = getattr(other, name)
 
     def take(self, rows: IntArray | BoolArray) -> Estimates:
         return Estimates(*(values[rows] for values in vars(self).values()))
@@ -163,9 +170,10 @@ class FrameModel:
             found = most_probable(partial(self.linearise, root=root), begin, around.own, self.mean, self.sd, limits)
             feasible &= found.at.feasible & np.isfinite(found.objective)
             around = self.about(found.x, found.at.warm)
-        root = _whitening(around.shared)
-        at = self.over_noise(around.now, around.by_own, root)
-        found = MostProbable.of(replace(at, feasible=at.feasible & feasible), around.own, self.mean, self.sd)
+        root = _whitening(around.shared)  # noise at the end is another than on the way there
+        at, limits = self.over_noise(around.now, around.by_own, root), replace(self.limits(_SETTLED, around), steps=1)
+        at = replace(at, feasible=at.feasible & feasible)
+        found = most_probable(partial(self.linearise, root=root), at, around.own, self.mean, self.sd, limits)
         return self._estimates(found, root @ around.shared, around.now.pose), around
 
     def followed(self, around: Around) -> tuple[Estimates, Around]:
@@ -206,14 +214,19 @@ class FrameModel:
             objective=found.objective,
             chi2=np.sum(found.at.residual**2, axis=1),
             pose=pose,
+            settled=found.converged | ~found.at.feasible,
         )
 
 
 def _whitening(shared: Array) -> Array:
     """(F, 3 m, 3 m) that whitens noise of sd one and what the frames share (F, 3 m, r)."""
-    whole = shared @ np.swapaxes(shared, 1, 2)
-    noise = 1.0 + _ROUNDING * np.trace(whole, axis1=1, axis2=2)
-    return np.linalg.inv(np.linalg.cholesky(whole + noise[:, None, None] * np.eye(shared.shape[1])))
+    return np.linalg.inv(noise_root(shared @ np.swapaxes(shared, 1, 2)))
+
+
+def noise_root(common: Array) -> Array:
+    """(..., R, R) lower factors of the covariance of noise of sd one and of errors of the covariance `common`."""
+    noise = 1.0 + _ROUNDING * np.trace(common, axis1=-2, axis2=-1)
+    return np.asarray(np.linalg.cholesky(common + noise[..., None, None] * np.eye(common.shape[-1])))
 
 
 def estimate(
@@ -231,7 +244,7 @@ def estimate(
     is where it acts or, with `seek_place`, where the search begins. `prior_sd` (n,): of each number of the load, mean
     zero."""
 
-    def searched(frames: IntArray, place: Array, force: Array) -> Estimates:
+    def searched(frames: IntArray, place: Array, force: Array, tolerances: tuple[float, ...]) -> Estimates:
         own, parts = np.column_stack([force, place]) if seek_place else force, []
         for chunk in (slice(i, i + CHUNK) for i in range(0, len(frames), CHUNK)):
             frame = FrameModel(bench, frames[chunk], place[chunk], prior_sd, seek_place)
@@ -239,7 +252,13 @@ def estimate(
         return Estimates(*(np.concatenate(each) for each in zip(*(vars(one).values() for one in parts), strict=True)))
 
     first = model.first_forces(bench, frames, place, prior_sd) if force is None else force
-    found = searched(frames, place, first)
+    found = searched(frames, place, first, tolerances)
+    for _ in range(_ROUNDS if restarts else 0):
+        rows = np.flatnonzero(~found.settled)
+        if not rows.size:
+            break
+        at = found.place[rows] if seek_place else place[rows]
+        found.put(rows, searched(frames[rows], at, found.force[rows], (_SETTLED,)))
     for _ in range(restarts):  # frames that ended far from what their neighbours explain begin anew where those ended
         numbers = np.sum(np.isfinite(bench.observations.xy[frames]), axis=(1, 2))
         lost = np.flatnonzero(~(found.objective < _FAR * np.maximum(numbers, np.nanmedian(found.objective))))
@@ -248,12 +267,11 @@ def estimate(
             break
         near = good[np.argmin(np.abs(good - lost[:, None]), axis=1)]
         at = found.place[near] if seek_place else place[lost]
-        again = searched(frames[lost], at, found.force[near])
+        again = searched(frames[lost], at, found.force[near], tolerances)
         better = np.flatnonzero(again.objective < found.objective[lost])
         if not better.size:
             break
-        for name, values in vars(found).items():
-            values[lost[better]] = getattr(again, name)[better]
+        found.put(lost[better], again.take(better))
     return found
 
 
@@ -344,7 +362,7 @@ def _memory(left: Array, measured: BoolArray, unknowns: int) -> float:
 # whose part stands below) and B with u, the slopes with u are `P B`, `P = I - J (J^T J)^-1 J^T`. A frame's own
 # covariance is `A^-1 + G C G^T`, `A = J^T J`, `G = A^-1 J^T B`, C that of u.
 
-_TOGETHER = SearchLimits(steps=20, tolerance=0.1, decrease=2e-3, damping=1e-3)
+_TOGETHER = SearchLimits(steps=20, tolerance=0.1, decrease=2e-4, damping=1e-3)
 _OWN = SearchLimits(steps=3, tolerance=0.1)  # of the frames' own unknowns for each of what they share
 _AT_REST = SearchLimits(tolerance=1e-3)
 
@@ -458,6 +476,7 @@ class _Joint(FrameModel):
             objective=squares,
             chi2=squares,
             pose=around.now.pose,
+            settled=np.ones(len(squares), dtype=bool),
         )
         return replace(bench, root=self.bench.root @ root), found, fit
 
