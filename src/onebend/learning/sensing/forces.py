@@ -220,7 +220,7 @@ class FrameModel:
 
 def _whitening(shared: Array) -> Array:
     """(F, 3 m, 3 m) that whitens noise of sd one and what the frames share (F, 3 m, r)."""
-    return np.linalg.inv(noise_root(shared @ np.swapaxes(shared, 1, 2)))
+    return np.asarray(np.linalg.inv(noise_root(shared @ np.swapaxes(shared, 1, 2))))
 
 
 def noise_root(common: Array) -> Array:
