@@ -293,7 +293,7 @@ def tag_blocks(motion: TagMotion) -> dict[str, Array]:
 _SETTLED = 1e-7  # rad, of the last change of a shape that relaxes
 _FALLING = 0.5  # of the change before: one that is larger takes a new tangent
 _FARTHEST = 5.0  # rad, of the curvature in one update of Newton's method
-_MOST_PASSES = 16
+_MOST_PASSES = 16  # a guard: each at least halves the change (`_FALLING`), or takes a new tangent
 _KEY_FRAMES = 24  # at most, through which derivatives follow the memory of the material
 _PASSES = 2  # each leaves about the relaxing share of the error of the one before
 
