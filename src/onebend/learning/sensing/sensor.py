@@ -96,10 +96,10 @@ def check_sensor(
     x, sizes = START, np.zeros(len(check.spread))
     for _ in range(_CHOICES):
         check.see(x, sizes)
-        x = check.settled(x, sizes)
+        x, _ = check.settled(x, sizes)
         sizes = check.chosen(x, sizes)
     check.see(x, sizes)
-    x = check.settled(x, sizes)
+    x, _ = check.settled(x, sizes)
     noise = check.noise(x, sizes)
     x, spread = check.over_sizes(x, sizes)
     along = spread[2] / spread[2, 2]  # what a delay does to the other numbers
@@ -189,11 +189,11 @@ class _Check:
         told = 2.0 * float(np.sum(np.log(np.diag(factor[0])))) + float(np.linalg.slogdet(normal)[1])
         return 0.5 * (float(sizes @ sizes) + misfit + told), x + left @ right, left
 
-    def settled(self, x: Array, sizes: Array) -> Array:
-        """The seven numbers (7,) after Gauss-Newton from `x`; the covariance turns with them."""
+    def settled(self, x: Array, sizes: Array) -> tuple[Array, Array]:
+        """The seven numbers (7,) after Gauss-Newton from `x`, and their covariance (7, 7)."""
         for _ in range(_ROUNDS):
-            _, x, _ = self._linear(x, *self._about(x), sizes)
-        return x
+            _, x, spread = self._linear(x, *self._about(x), sizes)
+        return x, spread
 
     def _about(self, x: Array) -> tuple[Array, Array]:
         """(2 T, 7) and (2 T,) N: the log's slopes at `x` (7,), and what is left of it."""
