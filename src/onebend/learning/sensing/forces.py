@@ -196,10 +196,8 @@ class FrameModel:
             looks.append(self.about(own, near))
             return self.over_noise(looks[-1].now, looks[-1].by_own, root)
 
-        begin, limits = (
-            self.over_noise(around.now, around.by_own, root),
-            replace(self.limits(tolerance, around), steps=1),
-        )
+        begin = self.over_noise(around.now, around.by_own, root)
+        limits = replace(self.limits(tolerance, around), steps=1)
         found = most_probable(linearise, begin, around.own, self.mean, self.sd, limits)
         return found, looks[0] if looks else None
 
