@@ -30,9 +30,7 @@ def setup(**values: float | list[float]) -> SetUp:
     """Zero but for these parts, all known to a hundredth of the sds before."""
     n = sum(SIZES.values())
     sd = np.concatenate([np.full(size, 1e-3 if PARTS[name][0] == "m" else 0.01) for name, size in SIZES.items()])
-    out = SetUp(
-        1.0, (0.0, 0.5), (0.5, 1.0), 0.016, SIZES, np.zeros(n), np.zeros((n, 8)), np.diag(1e-4 * sd**2), sd
-    )
+    out = SetUp(1.0, (0.0, 0.5), (0.5, 1.0), 0.016, SIZES, np.zeros(n), np.zeros((n, 8)), np.diag(1e-4 * sd**2), sd)
     mean = out.mean.copy()
     for name, value in values.items():
         mean[out.columns[name.replace("_", " ")]] = value
@@ -140,7 +138,9 @@ def test_the_band_of_the_ideal_beam_is_as_wide_as_places_spread_in_the_set_up() 
 
 
 def test_a_goal_is_met_in_the_set_up() -> None:
-    one = setup(place=0.003, clamp_gives=0.01, direction=0.02, force_error=[0.02, -0.01, 0.01, *[0.0] * 7], origin=[1e-3, 0.0])
+    one = setup(
+        place=0.003, clamp_gives=0.01, direction=0.02, force_error=[0.02, -0.01, 0.01, *[0.0] * 7], origin=[1e-3, 0.0]
+    )
     goal = tips(one, np.array([[0.05, 0.4]]))[0] + one.origin
     found = reach_in_setup(BEAM, KNOWN, one, goal)
     np.testing.assert_allclose(tips(one, found.force[None])[0] + one.origin, goal, atol=1e-6)
