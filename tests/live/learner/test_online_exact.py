@@ -171,7 +171,7 @@ def solved(session: LiveSession, keys: KeyFrames, marginalised: Marginalised, pr
     spline, noise = session.layout.spline, RecordingNoise(1.3, process.white)
     h = Hyperparameters(spline.variances(2.0, 0.2), 1.0, 1.0, 1.0, 1.0, (noise,))
     problem = problem_of(session, spanned_error(process, spans_of(keys, marginalised)), (0.3, None), h)
-    form = information(keys, marginalised, spline.count, marker=1.3, white=process.white)
+    form = information(keys, marginalised, spline.count, sizes=np.full(2, 1.3), white=process.white)
     return model_of(form, session.other_sd(1.0, 1.0), problem, SPREAD).posterior(h)
 
 
@@ -212,7 +212,12 @@ def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_no
     # Where the force error is one level, a folded frame says what it said.
     level = ForceNoise(level=0.05, walk=0.0, coloured=1e-9, tau=0.3, white=1e-4, load=0.0)
     whole = solved(session, keys, never, level)
-    never.add(likelihood_rows(keys, 0, 1.3, 1e-4), float(keys.end[0]), slow=0.0, fast=fast_variance(level, 0.0, 1.0))
+    never.add(
+        likelihood_rows(keys, 0, np.full(2, 1.3), 1e-4),
+        float(keys.end[0]),
+        slow=0.0,
+        fast=fast_variance(level, 0.0, 1.0),
+    )
     keys.drop(0)
     folded = solved(session, keys, never, level)
     np.testing.assert_allclose(folded.x, whole.x, rtol=1e-5, atol=1e-6)
