@@ -27,7 +27,8 @@ from onebend.recording.tags import TrackedFrame, Tracker
 from onebend.recording.video import Picture
 from onebend.records import Array, BoolArray, Detections, IntArray, OutlineTrack, View
 
-GIVEN_UP = 60  # pictures in a row without the outline: beside tags it is followed no more
+GIVEN_UP = 60  # pictures in a row without the outline: beside tags it is followed no more. One in which it was looked
+# for in vain takes as long as many
 AGAIN = 0.5  # s after which a body that was not found is looked for again
 SHOWN = (1.0 / 3.0, 2.0 / 3.0, 1.0)  # s of the points that say how far the body moved
 NOT_SEEN = "the outline of the body is not seen"
@@ -98,7 +99,7 @@ class BodyTracker:
             state, away = self.follower.step(Sight(planes, self.follower.place.view, shift))
         except ObservationError as wrong:
             self.follower, why = None, str(wrong).removeprefix(f"{self._rec.name}: ")
-            self.why = "" if self._rec.tags.on_beam else why
+            self.why, self._lost = "" if self._rec.tags.on_beam else why, self._lost + GIVEN_UP // 3
             return None
         self._lost = 0 if np.isfinite(away).any() else self._lost + 1
         self.why = NOT_SEEN if self._lost and not self._rec.tags.on_beam else ""

@@ -22,7 +22,6 @@ from typing import IO, Any
 import numpy as np
 
 from onebend.errors import ObservationError, OnebendError
-from onebend.learning.frames import read_alone
 from onebend.learning.start import start_of
 from onebend.live.body import NOT_SEEN, SeenOutline
 from onebend.live.history import FrameReader, reader_of
@@ -34,7 +33,7 @@ from onebend.recording.entries import Recording
 from onebend.recording.force import find_contact
 from onebend.recording.force_log import FEWEST_ROWS, whole_log
 from onebend.recording.observe import FEWEST_FRAMES, ObserveSettings, markers_of, observe_markers
-from onebend.recording.outline import joined
+from onebend.recording.outline import joined, left_out
 from onebend.recording.tags import BlockTracks, summary
 from onebend.recording.tool import SmallPictures, ToolPlace, tool_checked, tool_in_small
 from onebend.recording.tracks import with_angles
@@ -166,8 +165,8 @@ def review(
         start = start_of([observed], None)
         learner = replay(observed, start, gain_sd=observed.stated.gain_sd, settings=learning)
         if learner.doubts and observed.traced is not None and not observed.traced.all():  # as `fit` does
-            observed = read_alone(observed)
-            learner = replay(observed, start, gain_sd=observed.stated.gain_sd, settings=learning)
+            alone = review(replace(seen, outline=None), observing, learning)
+            return replace(alone, remarks=(*alone.remarks, left_out(learner.doubts[0])))
     except (OnebendError, np.linalg.LinAlgError) as error:
         return replace(known, why=str(error))
     return replace(known, reader=reader_of(seen.recording, observed, seen.outline), learner=learner)

@@ -569,10 +569,10 @@ SHARED = 2.0  # sds of what both flanks show: light, walls and blur shift both a
 def lasting_sd(apart: Array) -> Array:
     """(n,) m, one sd of points in the middle of two flanks, as if their errors were new in each picture and alike
     nowhere; `apart` (T, n) m: by how much the flanks are farther apart than the body is wide, both errors being
-    independent."""
+    independent. NaN where both are never seen: then the body's width is not known."""
     alike = np.nan_to_num(apart)
     times = correlation_time(alike) * correlation_time(alike.T, longest=2)
-    return np.asarray(0.5 * SHARED * np.sqrt(times) * np.sqrt(np.nan_to_num(nan_mean(apart**2))))
+    return np.asarray(0.5 * SHARED * np.sqrt(times) * np.sqrt(nan_mean(apart**2)))
 
 
 def points_of(
