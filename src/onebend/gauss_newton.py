@@ -1,14 +1,15 @@
 """The most probable values of a few unknowns, in many problems at once: Levenberg-Marquardt with normal priors.
 
 With residuals r over the noise, their derivatives J with the unknowns in units of their priors' sds and z the unknowns
-in these units, a step is `(A + d diag A) dz = J^T r - z`, `A = J^T J + I`; d grows until it lowers `r^2 + z^2`. The
+in these units, a step is `(A + d diag A) dz = J^T r - z`, `A = J^T J + I`; d grows until it lowers `r^2 + z^2`. An
+unknown at a bound that it would pass stays there. The last step is so small that it is taken to first order. The
 covariance of the unknowns is `A^-1` at the end (Laplace's approximation).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,28 +19,28 @@ _MOST_DAMPING = 1e8  # no step is left that lowers anything
 
 
 @dataclass(frozen=True)
-class Outlook:
-    """B problems at their unknowns."""
+class Linearised:
+    """B problems to first order about their unknowns."""
 
     residual: Array  # (B, R) measured less predicted, over the noise
     slopes: Array  # (B, R, d) of what is predicted, likewise
-    stands: BoolArray  # (B,) the problem has a solution here
-    near: Array  # (B, ...) where a look nearby begins
+    feasible: BoolArray  # (B,) the problem has a solution here
+    warm: Array  # (B, ...) from which a solution nearby is sought
 
 
-Look = Callable[[IntArray, Array, Array], Outlook]  # from some problems, their unknowns (B, d) and `near` (B, ...)
+Linearise = Callable[[IntArray, Array, Array], Linearised]  # some problems, about unknowns (B, d), from `warm` (B, ...)
 
 
 @dataclass(frozen=True)
-class DampedSteps:
+class SearchLimits:
     """When the search ends, and how far it goes at once."""
 
     steps: int = 40
-    last: float = 3e-3  # posterior sds: a step this small is the last: what is left is its square
-    slight: float = 0.0  # of the objective: a step that lowers it by less is the last
+    tolerance: float = 3e-3  # posterior sds: a step this small is the last: what is left is its square
+    decrease: float = 0.0  # of the objective, relative: a step that lowers it by less is the last
     damping: float = 1e-6  # at first
     longest: Array | None = None  # (d,) of one step
-    inside: Callable[[Array], Array] = np.asarray  # moves unknowns (B, d) to where they may be
+    within: tuple[Array | float, Array | float] = (-np.inf, np.inf)  # (d,) each: lower and upper bounds
 
 
 @dataclass(frozen=True)
@@ -48,14 +49,14 @@ class MostProbable:
 
     x: Array  # (B, d)
     sd: Array  # (d,) before the data
-    at: Outlook
+    at: Linearised
     objective: Array  # (B,) squared residuals and the prior's part; infinite where the problem has no solution
-    settled: BoolArray  # (B,) the search ended because its last step was small, or none was left
+    converged: BoolArray  # (B,) the search ended because its last step was small, or none was left
 
     @classmethod
-    def of(cls, at: Outlook, x: Array, mean: Array, sd: Array) -> MostProbable:
+    def of(cls, at: Linearised, x: Array, mean: Array, sd: Array) -> MostProbable:
         """At `x` (B, d)."""
-        objective = np.where(at.stands, _objective(at.residual, (x - mean) / sd), np.inf)
+        objective = np.where(at.feasible, _objective(at.residual, (x - mean) / sd), np.inf)
         return cls(x, sd, at, objective, np.zeros(len(x), dtype=bool))
 
     @property
@@ -69,33 +70,49 @@ class MostProbable:
 
 
 def most_probable(
-    look: Look, first: Outlook, x: Array, mean: Array, sd: Array, search: DampedSteps = DampedSteps()
+    linearise: Linearise, first: Linearised, x: Array, mean: Array, sd: Array, limits: SearchLimits = SearchLimits()
 ) -> MostProbable:
-    """From unknowns `x` (B, d), where the problems look like `first`, with prior `mean` and `sd` (d,)."""
-    begin = MostProbable.of(replace(first, near=first.near.copy()), x.copy(), mean, sd)
+    """From unknowns `x` (B, d), about which the problems are `first`, with prior `mean` and `sd` (d,)."""
+    begin = MostProbable.of(Linearised(*(values.copy() for values in vars(first).values())), x.copy(), mean, sd)
     x, at, objective = begin.x, begin.at, begin.objective
-    rows, damping = np.flatnonzero(at.stands), np.full(len(x), search.damping)
-    for _ in range(search.steps):
+    rows, damping = np.flatnonzero(at.feasible), np.full(len(x), limits.damping)
+    low, high = limits.within
+    for _ in range(limits.steps):
+        slopes, residual, z = at.slopes[rows] * sd, at.residual[rows], (x[rows] - mean) / sd
+        down = np.einsum("brd,br->bd", slopes, residual) - z
+        held = ((x[rows] <= low) & (down < 0.0)) | ((x[rows] >= high) & (down > 0.0))  # at a bound that it would pass
+        step, size = _step(np.where(held[:, None], 0.0, slopes), residual, np.where(held, 0.0, z), damping[rows])
+        step = sd * step
+        if limits.longest is not None:
+            times = np.maximum(np.max(np.abs(step / limits.longest), axis=1), 1.0)
+            step, size = step / times[:, None], np.where(times > 1.0, np.inf, size)
+        trial = np.clip(x[rows] + step, low, high)
+        small = size < limits.tolerance
+        last, rows, trial = (rows[small], trial[small]), rows[~small], trial[~small]
+        if small.any():
+            _move(begin, *last, mean)
         if not rows.size:
             break
-        step, size = _step(at.slopes[rows] * sd, at.residual[rows], (x[rows] - mean) / sd, damping[rows])
-        step = sd * step
-        if search.longest is not None:
-            times = np.maximum(np.max(np.abs(step / search.longest), axis=1), 1.0)
-            step, size = step / times[:, None], np.where(times > 1.0, np.inf, size)
-        trial = search.inside(x[rows] + step)
-        there = look(rows, trial, at.near[rows])
-        now = np.where(there.stands, _objective(there.residual, (trial - mean) / sd), np.inf)
+        there = linearise(rows, trial, at.warm[rows])
+        now = np.where(there.feasible, _objective(there.residual, (trial - mean) / sd), np.inf)
         better = now < objective[rows]
-        won, slight = rows[better], better & ((1.0 + search.slight) * now > objective[rows])
+        won, slight = rows[better], better & ((1.0 + limits.decrease) * now > objective[rows])
         x[won], objective[won] = trial[better], now[better]
         for name, values in vars(at).items():
             values[won] = getattr(there, name)[better]
         damping[rows] = np.where(better, np.maximum(damping[rows] / 10.0, 1e-12), 10.0 * damping[rows])
-        done = slight | (size < search.last) | (damping[rows] > _MOST_DAMPING)
-        begin.settled[rows[done]] = True
+        done = slight | (damping[rows] > _MOST_DAMPING)
+        begin.converged[rows[done]] = True
         rows = rows[~done]
     return begin
+
+
+def _move(found: MostProbable, rows: IntArray, x: Array, mean: Array) -> None:
+    """Some problems to their unknowns `x` (B, d) nearby, to first order."""
+    moved = found.at.slopes[rows] @ (x - found.x[rows])[..., None]
+    found.at.residual[rows] -= moved[..., 0]
+    found.x[rows], found.converged[rows] = x, True
+    found.objective[rows] = _objective(found.at.residual[rows], (x - mean) / found.sd)
 
 
 def _objective(residual: Array, z: Array) -> Array:

@@ -12,7 +12,7 @@ from onebend.beam.model import Beam
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Gaussians, Powers, Profile, Uniform, equidistant, gaussian_basis, power_basis
 from onebend.errors import LearningError, MechanicsError
-from onebend.gauss_newton import DampedSteps, Outlook, most_probable
+from onebend.gauss_newton import Linearised, SearchLimits, most_probable
 from onebend.learning.fit_data import AtRest, at_rest, beam_points
 from onebend.learning.frames import (
     at_frames,
@@ -75,16 +75,17 @@ def solve_states(
     at = places(observations.length, Modes(n), observations.marker_s)
     sd = np.sqrt((2.0 * np.arange(n) + 1.0) / _LEAST_CURVATURE)  # `int q^2 = sum theta_i^2 / (2 i + 1)`
 
-    def look(rows: IntArray, theta: Array, _: Array) -> Outlook:
+    def linearise(rows: IntArray, theta: Array, _: Array) -> Linearised:
         pose = np.concatenate([positions(at, theta), angles(at, theta)[..., None]], axis=-1)
         turn = np.broadcast_to(at.to_places[None, :, None, :], (len(rows), len(at.s), 1, n))
         slopes = np.concatenate([jacobians(at, theta), turn], axis=2)
         both = whitened(whiten[rows], np.concatenate([slopes, (target[rows] - pose)[..., None]], axis=-1))
-        return Outlook(both[..., -1], both[..., :-1], np.ones(len(rows), dtype=bool), np.zeros((len(rows), 0)))
+        return Linearised(both[..., -1], both[..., :-1], np.ones(len(rows), dtype=bool), np.zeros((len(rows), 0)))
 
     theta = _start(at, target, data > 0, whiten)
-    begin = look(np.arange(len(theta)), theta, theta)
-    found = most_probable(look, begin, theta, np.zeros(n), sd, DampedSteps(steps=most, last=_SETTLED, damping=1e-3))
+    begin = linearise(np.arange(len(theta)), theta, theta)
+    limits = SearchLimits(steps=most, tolerance=_SETTLED, damping=1e-3)
+    found = most_probable(linearise, begin, theta, np.zeros(n), sd, limits)
     theta, seen, root = found.x.copy(), np.any(data > 0, axis=1), found.root
     theta[~seen] = np.nan
     return States(
@@ -94,7 +95,7 @@ def solve_states(
         theta0=rest.states(n),
         rest=rest,
         data=np.sum(data, axis=1),
-        converged=found.settled & seen,
+        converged=found.converged & seen,
     )
 
 

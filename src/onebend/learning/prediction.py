@@ -59,7 +59,7 @@ class BentBeam:
     solved: Equilibrium
     on_nodes: Array  # (Q, p) or (F, Q, p): the functions of log k
     rest_on_nodes: Array  # (Q, 3) or (F, Q, 3): the functions of the rest curvature
-    push: Array  # (F, 2) N
+    push: Array  # (F, 2) N, or (F, 3) with a moment [N m]
     beyond: Array  # (F, Q): share of the push that acts beyond the node
     farther: Array  # (Q,) or (F, Q) 1/m: what that share gains for each metre that the push lies farther out
     by_mass: Perturbation | None = None  # the parts of the mass; None where nothing weighs
@@ -73,15 +73,15 @@ class BentBeam:
 def load_changes(beam: BentBeam) -> dict[str, Perturbation]:
     """Groups of the loads, the clamp and the beam at rest.
 
-    "curvature" (3) rad; "clamp" (1) rad; "push" (2) N, the force of each frame; "place" (1) m, of the push along the
-    beam; "mass" (4), relative, where weight acts; "relaxation", the relaxing shares.
+    "curvature" (3) rad; "clamp" (1) rad; "push" (2) N, or (3) with N m, the load of each frame; "place" (1) m, of the
+    push along the beam; "mass" (4), relative, where weight acts; "relaxation", the relaxing shares.
     """
     problem = beam.solved.problem
     changes = {
         "curvature": of_rest_curvature(problem, beam.rest_on_nodes),
         "clamp": of_clamp_angle(problem),
-        "push": pushed_by(beam.beyond, np.eye(2)[None]),
-        "place": placed_by(beam, np.ones((1, 1))),
+        "push": pushed_by(beam.beyond, np.eye(beam.push.shape[1])[None]),
+        "place": placed_by(beam.farther, beam.push, np.ones((1, 1))),
     }
     if beam.by_mass is not None:
         changes["mass"] = beam.by_mass
@@ -174,16 +174,18 @@ def push_forces(push: Array, log_axes: Array, rate: Array) -> dict[str, Array]:
     return {"direction": turned[..., None], "clock": (rate @ log_axes.T)[..., None]}
 
 
-def pushed_by(beyond: Array, force: Array) -> Perturbation:
-    """n parameters that add `force` (F, 2, n) N to the push, of which `beyond` (F, Q) acts beyond each node."""
-    added = beyond[..., None, None] * force[:, None]
-    return Perturbation(added, None, None, np.zeros(force.shape[-1]))
+def pushed_by(beyond: Array, load: Array) -> Perturbation:
+    """n parameters that add `load` (F, 2, n) N, or (F, 3, n) with N m, to the push, of which `beyond` (Q,) or (F, Q)
+    acts beyond each node."""
+    added = beyond[..., None, None] * load[:, None]
+    moment = added[:, :, 2] if load.shape[1] > 2 else None
+    return Perturbation(added[:, :, :2], moment, None, np.zeros(load.shape[-1]))
 
 
-def placed_by(beam: BentBeam, basis: Array) -> Perturbation:
-    """n parameters that move the push: `basis` (F, n) m per unit in each frame."""
-    added = (beam.farther[..., None] * beam.push[:, None, :])[..., None] * basis[:, None, None, :]
-    return Perturbation(added, None, None, np.zeros(basis.shape[-1]))
+def placed_by(farther: Array, push: Array, basis: Array) -> Perturbation:
+    """n parameters that move a push (F, 2) N, or (F, 3) with N m, to which each metre adds `farther` (Q,) or (F, Q)
+    beyond each node: `basis` (F, n) m per unit in each frame."""
+    return pushed_by(farther, push[..., None] * basis[:, None, :])
 
 
 @dataclass(frozen=True)
@@ -469,7 +471,7 @@ class Slopes:
     """
 
     j: Array  # (F, ..., C - 2 K + 2 n) with all parameters but that error, and with the push in the key frames
-    a: Array  # (F, ..., 2) with the frame's force
+    a: Array  # (F, ..., 2) with the frame's force; (F, ..., 3) with its moment too
     axes: Array  # (2, 2) by which the logged force is turned
     weights: Array  # (F, K): that error is `weights @ values`
     added: Array | None = None  # (F, ..., 2) what memory adds to `a` for a part of the push that lasts
@@ -550,6 +552,11 @@ class Prediction(State):
         return tuple(reached_part(lag @ bent, bent, weights) for lag in lags(time))
 
     @property
+    def load(self) -> Array:
+        """(F, 2) N, or (F, 3) with N m, that acts where the push does."""
+        return np.hstack([self.force, self.own[:, 2:]])
+
+    @property
     def slopes(self) -> Slopes:
         """Derivatives of the tags' poses (F, m, 3), exact."""
         return _slopes(self)
@@ -572,15 +579,10 @@ class Prediction(State):
 
     def by_own(self, *, place: bool = False) -> Array:
         """(F, m, 3, n) derivatives of the tags' poses with each frame's own load; with its `place` [m] too, last."""
-        beyond, farther, load = self.push_beyond, self.data.farther, np.hstack([self.force, self.own[:, 2:]])
-        count, n = load.shape[1] + place, load.shape[1]
-        force, moment = np.zeros((*beyond.shape, 2, count)), np.zeros((*beyond.shape, count))
-        force[..., [0, 1], [0, 1]], moment[..., 2:n] = beyond[..., None], beyond[..., None]
-        if place:
-            force[..., n] = farther[..., None] * load[:, None, :2]
-            moment[..., n] = farther * np.sum(load[:, 2:], axis=1, keepdims=True)
-        changes = Perturbation(force, moment if n > 2 else None, None, np.zeros(count))
-        return self.riding.carry(_responses(self, Perturbations((changes,)))[0])
+        load = self.load
+        changes = [pushed_by(self.push_beyond, np.eye(load.shape[1])[None])]
+        changes += [placed_by(self.data.farther, load, np.ones((1, 1)))] if place else []
+        return self.riding.carry(_responses(self, Perturbations(tuple(changes)))[0])
 
     def clear_slopes(self) -> None:
         """Free the cached derivatives, most of the memory of a fit; they are computed again on demand."""
@@ -651,7 +653,7 @@ def _slopes(now: Prediction) -> Slopes:
     changes |= {a.name: Perturbation(a.basis, None, None, np.zeros(a.count)) for a in data.entering("load")}
     if has_memory:  # what a force does in one frame depends on those before
         changes |= {name: pushed_by(bent.beyond, force) for name, force in pushes.items()}
-        changes |= {name: placed_by(bent, basis) for name, basis in moves.items()}
+        changes |= {name: placed_by(bent.farther, bent.push, basis) for name, basis in moves.items()}
     columns = response_columns(changes, bent)
     each_node = (of_rest_curvature(solved.problem, np.eye(nodes)),) if has_memory else ()
     both, by_end = _responses(now, Perturbations((*columns.changes.parts, *each_node)))
@@ -671,7 +673,7 @@ def _slopes(now: Prediction) -> Slopes:
             slopes = replace(slopes, j=out, added=ride.carry(memory.by_push), keys=memory.keys)
     blocks = columns.split(carried)
     if not has_memory:
-        blocks |= {name: blocks["push"] @ force[:, None] for name, force in pushes.items()}
+        blocks |= {name: blocks["push"][..., :2] @ force[:, None] for name, force in pushes.items()}
         blocks |= {name: blocks["place"] * basis[:, None, None, :] for name, basis in moves.items()}
     blocks |= {a.name: blocks["clamp"] * a.basis[:, None, None, :] for a in data.entering("clamp")}
     blocks |= {a.name: a.basis for a in data.entering("poses")} | {"rest change": blocks["curvature"]}
@@ -723,7 +725,7 @@ def _bent(now: Prediction) -> BentBeam:
         now.solved,
         data.on_nodes,
         data.rest_on_nodes,
-        now.force,
+        now.load,
         now.push_beyond,
         data.farther,
         by_mass,

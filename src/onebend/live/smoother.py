@@ -264,8 +264,8 @@ class Smoother:
         spans = spans_of(keys, self.marginalised, self._stages.own)
         expected = replace(self.hyperparameters, coloured=1.0, memory=1.0, walk=1.0, load=1.0, white=1.0)
         error, start = spanned_error(self._expected_error, spans), (self._start.level, self._start.stiffness)
-        p = session.layout.spline.count
-        form = information(keys, self.marginalised, p, sizes=self.noise, white=self._process.white)
+        p, white = session.layout.spline.count, self._process.white
+        form = information(keys, self.marginalised, p, sizes=self.noise, white=white, of_tags=session.of_tags)
         spread = np.where(np.array(CHOSEN) == "memory", settings.memory_doubt, np.append(SPREAD, _WHITE_SPREAD))
         model = model_of(form, self.nuisance_sd, problem_of(session, error, start, expected), spread)
         return model.posterior(self.hyperparameters)

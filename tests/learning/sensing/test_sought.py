@@ -24,7 +24,7 @@ def log_evidence(bench: Bench, shown: Bench, frame: IntArray, found: Estimates, 
     seen = np.concatenate([o.xy, o.angle[..., None]], axis=-1)[frame]
     white = whitening(seen, o.covariance[frame])
     by_load = (white @ now.by_own() * sd).reshape(-1, len(sd))
-    by_shared = (white @ replace(shown, root=bench.root).by_shared(now)).reshape(len(by_load), -1)
+    by_shared = (white @ replace(shown, root=bench.root).derivatives(now)[1]).reshape(len(by_load), -1)
     shared = np.linalg.lstsq(bench.root, shown.mean - bench.mean, rcond=None)[0]
     away = (white @ (seen - now.pose)[..., None]).ravel() + by_load @ (found.force[0] / sd) + by_shared @ shared
     whole = np.eye(len(away)) + by_load @ by_load.T + by_shared @ by_shared.T

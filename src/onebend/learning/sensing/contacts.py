@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from onebend.learning.sensing.endings import RUN, ContactFrames, Edge, scanned
-from onebend.learning.sensing.forces import FrameForces
+from onebend.learning.sensing.forces import FrameForces, noise_root
 from onebend.records import Array, BoolArray, IntArray
 
 # The force is zero until `t0`, and then `j + v t + a t^2 / 2 + c t^3 / 3 + w(t)`, with w white noise integrated twice.
@@ -90,7 +90,6 @@ def _evidence_of_edges(readings: FrameForces, at: Array, first: int, prior_sd: f
     """(n,) log, of beginnings `at` (n,) [s], but for a constant."""
     tells = np.any(readings.weigh != 0.0, axis=-1)  # (W, 2)
     weigh, told, common = readings.weigh[tells], readings.told[tells], readings.common[tells]
-    noise = np.eye(len(told)) + common @ common.T
     since = np.maximum(np.repeat(readings.time[:, None], 2, axis=1)[tells] - at[:, None], 0.0)  # (n, R)
     long = max(float(readings.time[-1] - readings.time[first]), 1e-9)
     size = _size(readings, first, prior_sd)
@@ -103,8 +102,8 @@ def _evidence_of_edges(readings: FrameForces, at: Array, first: int, prior_sd: f
     alike = size**2 * (weigh @ weigh.T)
     rows = []
     for sizes in _SIZES:
-        whole = noise + alike * sum(one**2 * kind for one, kind in zip(sizes, kinds, strict=True) if one > 0.0)
-        root = np.linalg.cholesky(whole)
+        load = alike * sum(one**2 * kind for one, kind in zip(sizes, kinds, strict=True) if one > 0.0)
+        root = noise_root(common @ common.T + load)
         left = np.linalg.solve(root, np.broadcast_to(told[:, None], (len(at), len(told), 1)))[..., 0]
         rows.append(-0.5 * np.sum(left**2, axis=1) - np.sum(np.log(np.einsum("nrr->nr", root)), axis=1))
     every = np.stack(rows)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from onebend.beam.grid import apply
-from onebend.gauss_newton import DampedSteps, MostProbable, Outlook, most_probable
+from onebend.gauss_newton import Linearised, MostProbable, SearchLimits, most_probable
 from onebend.learning.fit_data import FitData
 from onebend.learning.frames import moved_by, whitened
 from onebend.learning.prediction import Prediction
@@ -24,7 +24,13 @@ from onebend.records import Array, BoolArray, IntArray
 CHUNK = 250  # frames solved together
 _STRIDE = 1.5  # of k/L: no longer step of the force at once
 _FAR = 3.0  # times what is usual
-_LASTS = (0.1, 3e-3)  # posterior sds, of the last step of each search; what is left is its square
+_TOLERANCES = (0.1, 3e-3)  # posterior sds, of the last step of each search; what is left is its square
+_CLOSE, _MOST_FOLLOWED = (
+    0.3,
+    8,
+)  # the last step of a frame after the other; rounds, each with the noise as it counts there
+_ROUNDING = 1e-12  # of the variance of all that frames share: next to it noise of sd one is lost in rounding
+_ROUNDS, _SETTLED = 8, 0.03  # with the noise as it counts where a search has ended, and posterior sds of the last step
 _HALVINGS = 6  # of a first force under which the beam does not stand
 PLACE_PRIOR = (0.5, 0.29)  # mean and sd of a place of which nothing is known: those of an even spread over the beam
 
@@ -40,6 +46,12 @@ class Estimates:
     objective: Array  # (F,) squared residuals, whitened, and the prior's part
     chi2: Array  # (F,) squared residuals, whitened
     pose: Array  # (F, m, 3) the tags that belong to it
+    settled: BoolArray  # (F,) nearly the same with noise as it counts there
+
+    def put(self, rows: IntArray, other: Estimates) -> None:
+        """Estimates of some frames in their place."""
+        for name, values in vars(self).items():
+            values[rows] = getattr(other, name)
 
     def take(self, rows: IntArray | BoolArray) -> Estimates:
         return Estimates(*(values[rows] for values in vars(self).values()))
@@ -47,6 +59,30 @@ class Estimates:
     def then(self, other: Estimates) -> Estimates:
         pairs = zip(vars(self).values(), vars(other).values(), strict=True)
         return Estimates(*(np.concatenate(pair) for pair in pairs))
+
+
+@dataclass(frozen=True)
+class Around:
+    """F frames to first order about their unknowns."""
+
+    own: Array  # (F, d)
+    now: Prediction
+    by_own: Array  # (F, m, 3, n + 1) of the tags, with each frame's load and its place [m]
+    by_shared: Array  # (F, m, 3, r) of the tags, per sd of each error that the frames share
+
+    @property
+    def shared(self) -> Array:
+        """(F, 3 m, r), over the tags' noise."""
+        return _known(self.now, self.by_shared)
+
+    def showing(self, seen: Array, whiten: Array) -> Around:
+        """The same shapes in other frames, with tags at `seen` (F, m, 3)."""
+        return replace(self, now=replace(self.now, data=replace(self.now.data, measured=seen, whiten=whiten)))
+
+
+def _known(now: Prediction, columns: Array) -> Array:
+    """(F, 3 m, n) of columns (F, m, 3, n), over the tags' noise; zero where there is no equilibrium."""
+    return np.where(now.solved.converged[:, None, None], np.nan_to_num(whitened(now.data.whiten, columns)), 0.0)
 
 
 class FrameModel:
@@ -58,6 +94,8 @@ class FrameModel:
         self.sd = np.append(prior_sd, PLACE_PRIOR[1]) if seek_place else prior_sd
         self.mean = np.append(0.0 * prior_sd, PLACE_PRIOR[0]) if seek_place else 0.0 * prior_sd
         self.load = len(prior_sd)
+        beyond = np.full(self.load, np.inf)  # a place is on the beam
+        self.within = (np.append(-beyond, INNERMOST), np.append(beyond, 1.0)) if seek_place else (-np.inf, np.inf)
 
     def moved(self, shared: Array) -> FrameModel:
         """With what the frames share (r,) sds away from its mean."""
@@ -77,64 +115,97 @@ class FrameModel:
         """Of all frames at their places."""
         return self.bench.at(self.frames, self.place)
 
-    def look(self, rows: IntArray, own: Array, near: Array | None, root: Array | None = None) -> Outlook:
+    def linearise(self, rows: IntArray, own: Array, near: Array | None, root: Array | None = None) -> Linearised:
         """The same for the search, over the tags' noise; or over all noise, with its `root` (F, 3 m, 3 m)."""
-        return self.outlook(self.at(rows, own, near), None if root is None else root[rows])
+        now = self.at(rows, own, near)
+        return self.over_noise(now, now.by_own(place=self.seek_place), None if root is None else root[rows])
 
-    def outlook(self, now: Prediction, root: Array | None) -> Outlook:
-        stands, whiten = now.solved.converged, now.data.whiten
-        slopes = now.by_own(place=self.seek_place)
+    def about(self, own: Array, near: Array | None = None) -> Around:
+        """All frames about unknowns `own` (F, d), from shapes `near` (F, Q)."""
+        return self.around(own, self.at(np.arange(len(own)), own, near))
+
+    def around(self, own: Array, now: Prediction) -> Around:
+        return Around(own, now, *self.bench.derivatives(now))
+
+    def over_noise(self, now: Prediction, by_own: Array, root: Array | None = None) -> Linearised:
+        """With derivatives `by_own` (F, m, 3, d or more); over the tags' noise alone, or over all."""
+        slopes = by_own[..., : len(self.sd)]
         if self.seek_place:
-            slopes[..., -1] *= self.bench.observations.length
+            slopes = slopes * np.append(np.ones(self.load), self.bench.observations.length)
         both = np.concatenate([slopes, np.nan_to_num(now.data.measured - now.pose)[..., None]], axis=-1)
-        both = np.where(stands[:, None, None], np.nan_to_num(whitened(whiten, both)), 0.0)
+        both = _known(now, both)
         both = both if root is None else root @ both
-        return Outlook(both[..., -1], both[..., :-1], stands, now.solved.q)
-
-    def shared(self, now: Prediction) -> Array:
-        """(F, 3 m, r) of the tags, over their noise, per sd of each error that the frames share."""
-        out = whitened(now.data.whiten, self.bench.by_shared(now))
-        return np.where(now.solved.converged[:, None, None], np.nan_to_num(out), 0.0)
-
-    def inside(self, own: Array) -> Array:
-        """The unknowns (F, d), with places on the beam."""
-        return np.column_stack([own[:, :-1], np.clip(own[:, -1], INNERMOST, 1.0)]) if self.seek_place else own
+        return Linearised(both[..., -1], both[..., :-1], now.solved.converged, now.solved.q)
 
     def placed(self, own: Array, rows: IntArray | slice = slice(None)) -> Array:
         """(F,) places of the loads."""
         return own[:, -1] if self.seek_place else self.place[rows]
 
-    def searched(
-        self, own: Array, near: Array | None = None, lasts: tuple[float, ...] = _LASTS, steps: int = 40
-    ) -> tuple[Estimates, Array]:
-        """The most probable unknowns, from `own` (F, d) and shapes `near` (F, Q) on, and shapes there."""
-        rows = np.arange(len(own))
-        now, own = self.at(rows, own, near), own.copy()
+    def begun(self, own: Array) -> Around:
+        """About first unknowns (F, d), or loads a part as large where the beam does not stand under those."""
+        own, rows = own.copy(), np.arange(len(own))
+        now = self.at(rows, own)
         for _ in range(_HALVINGS):
             if now.solved.converged.all():
                 break
             own[~now.solved.converged, : self.load] *= 0.5
             now = self.at(rows, own)
-        stiff = _STRIDE * float(np.mean(now.solved.problem.k))
+        return self.around(own, now)
+
+    def limits(self, tolerance: float, around: Around) -> SearchLimits:
+        """With a last step of `tolerance` posterior sds; it lowers the objective by the square."""
+        stiff = _STRIDE * float(np.mean(around.now.solved.problem.k))
         longest = np.full(len(self.sd), stiff / self.bench.observations.length)
         longest[2 : self.load] = stiff
         if self.seek_place:
             longest[-1] = np.inf
-        for last in lasts:
-            root, _ = _whitening(self.shared(now))
-            look, begin = partial(self.look, root=root), self.outlook(now, root)
-            search = DampedSteps(steps, last, longest=longest, inside=self.inside)
-            found = most_probable(look, begin, own, self.mean, self.sd, search)
-            stands, own = found.at.stands & np.isfinite(found.objective), found.x
-            now = self.at(rows, own, found.at.near)
-        root, shared = _whitening(self.shared(now))
-        at = self.outlook(now, root)
-        found = MostProbable.of(replace(at, stands=at.stands & stands), own, self.mean, self.sd)
-        return self._estimates(found, shared, now.pose), now.solved.q
+        return SearchLimits(tolerance=tolerance, decrease=tolerance**2, longest=longest, within=self.within)
+
+    def searched(self, around: Around, tolerances: tuple[float, ...] = _TOLERANCES) -> tuple[Estimates, Around]:
+        """The most probable unknowns, from those of `around` on."""
+        feasible = np.ones(len(around.own), dtype=bool)
+        for tolerance in tolerances:
+            root = _whitening(around.shared)
+            begin, limits = self.over_noise(around.now, around.by_own, root), self.limits(tolerance, around)
+            found = most_probable(partial(self.linearise, root=root), begin, around.own, self.mean, self.sd, limits)
+            feasible &= found.at.feasible & np.isfinite(found.objective)
+            around = self.about(found.x, found.at.warm)
+        root = _whitening(around.shared)  # noise at the end is another than on the way there
+        at, limits = self.over_noise(around.now, around.by_own, root), replace(self.limits(_SETTLED, around), steps=1)
+        at = replace(at, feasible=at.feasible & feasible)
+        found = most_probable(partial(self.linearise, root=root), at, around.own, self.mean, self.sd, limits)
+        return self._estimates(found, root @ around.shared, around.now.pose), around
+
+    def followed(self, around: Around) -> tuple[Estimates, Around]:
+        """The same of one frame that is near, but for the common errors: noise counts as at each step, and the last one
+        is taken to first order. Near a buckling load that noise changes much from frame to frame."""
+        for number in range(_MOST_FOLLOWED):
+            found, after = self._stepped(around, _CLOSE if number else 0.0)
+            if after is None:
+                return self._estimates(found, np.zeros((*found.at.residual.shape, 0)), around.now.pose), around
+            if not np.array_equal(found.x, after.own):
+                break
+            around = after
+        return self.searched(around)
+
+    def _stepped(self, around: Around, tolerance: float) -> tuple[MostProbable, Around | None]:
+        """One step on, and what was seen where it ended; None: it was small."""
+        root, looks = _whitening(around.shared), []
+
+        def linearise(_: IntArray, own: Array, near: Array) -> Linearised:
+            looks.append(self.about(own, near))
+            return self.over_noise(looks[-1].now, looks[-1].by_own, root)
+
+        begin, limits = (
+            self.over_noise(around.now, around.by_own, root),
+            replace(self.limits(tolerance, around), steps=1),
+        )
+        found = most_probable(linearise, begin, around.own, self.mean, self.sd, limits)
+        return found, looks[0] if looks else None
 
     def _estimates(self, found: MostProbable, shared: Array, pose: Array) -> Estimates:
-        root, known = found.root, np.where(found.at.stands[:, None], found.x, np.nan)
-        place = known[:, -1] if self.seek_place else np.where(found.at.stands, self.place, np.nan)
+        root, known = found.root, np.where(found.at.feasible[:, None], found.x, np.nan)
+        place = known[:, -1] if self.seek_place else np.where(found.at.feasible, self.place, np.nan)
         return Estimates(
             force=known[:, : self.load],
             place=place,
@@ -143,14 +214,19 @@ class FrameModel:
             objective=found.objective,
             chi2=np.sum(found.at.residual**2, axis=1),
             pose=pose,
+            settled=found.converged | ~found.at.feasible,
         )
 
 
-def _whitening(shared: Array) -> tuple[Array, Array]:
-    """(F, 3 m, 3 m) that whitens noise of sd one and what the frames share (F, 3 m, r); and that, whitened."""
-    size, ways = np.linalg.eigh(shared @ np.swapaxes(shared, 1, 2))
-    root = (ways / np.sqrt(1.0 + np.maximum(size, 0.0))[:, None]) @ np.swapaxes(ways, 1, 2)
-    return root, root @ shared
+def _whitening(shared: Array) -> Array:
+    """(F, 3 m, 3 m) that whitens noise of sd one and what the frames share (F, 3 m, r)."""
+    return np.asarray(np.linalg.inv(noise_root(shared @ np.swapaxes(shared, 1, 2))))
+
+
+def noise_root(common: Array) -> Array:
+    """(..., R, R) lower factors of the covariance of noise of sd one and of errors of the covariance `common`."""
+    noise = 1.0 + _ROUNDING * np.trace(common, axis1=-2, axis2=-1)
+    return np.asarray(np.linalg.cholesky(common + noise[..., None, None] * np.eye(common.shape[-1])))
 
 
 def estimate(
@@ -162,12 +238,27 @@ def estimate(
     seek_place: bool,
     force: Array | None = None,
     restarts: int = 4,
+    tolerances: tuple[float, ...] = _TOLERANCES,
 ) -> Estimates:
-    """The force in `frames` (F,), rising, from `force` (F, 2) N (default: that of `begin`) at `place` (F,), which is
-    where it acts or, with `seek_place`, where the search begins. `prior_sd` (n,): of
-    each number of the load, mean zero."""
+    """The force in `frames` (F,), rising, from `force` (F, 2) N (default: `model.first_forces`) at `place` (F,), which
+    is where it acts or, with `seek_place`, where the search begins. `prior_sd` (n,): of each number of the load, mean
+    zero."""
+
+    def searched(frames: IntArray, place: Array, force: Array, tolerances: tuple[float, ...]) -> Estimates:
+        own, parts = np.column_stack([force, place]) if seek_place else force, []
+        for chunk in (slice(i, i + CHUNK) for i in range(0, len(frames), CHUNK)):
+            frame = FrameModel(bench, frames[chunk], place[chunk], prior_sd, seek_place)
+            parts.append(frame.searched(frame.begun(own[chunk]), tolerances)[0])
+        return Estimates(*(np.concatenate(each) for each in zip(*(vars(one).values() for one in parts), strict=True)))
+
     first = model.first_forces(bench, frames, place, prior_sd) if force is None else force
-    found = _searched(bench, frames, place, prior_sd, seek_place, first)
+    found = searched(frames, place, first, tolerances)
+    for _ in range(_ROUNDS if restarts else 0):
+        rows = np.flatnonzero(~found.settled)
+        if not rows.size:
+            break
+        at = found.place[rows] if seek_place else place[rows]
+        found.put(rows, searched(frames[rows], at, found.force[rows], (_SETTLED,)))
     for _ in range(restarts):  # frames that ended far from what their neighbours explain begin anew where those ended
         numbers = np.sum(np.isfinite(bench.observations.xy[frames]), axis=(1, 2))
         lost = np.flatnonzero(~(found.objective < _FAR * np.maximum(numbers, np.nanmedian(found.objective))))
@@ -176,24 +267,12 @@ def estimate(
             break
         near = good[np.argmin(np.abs(good - lost[:, None]), axis=1)]
         at = found.place[near] if seek_place else place[lost]
-        again = _searched(bench, frames[lost], at, prior_sd, seek_place, found.force[near])
+        again = searched(frames[lost], at, found.force[near], tolerances)
         better = np.flatnonzero(again.objective < found.objective[lost])
         if not better.size:
             break
-        for name, values in vars(found).items():
-            values[lost[better]] = getattr(again, name)[better]
+        found.put(lost[better], again.take(better))
     return found
-
-
-def _searched(
-    bench: Bench, frames: IntArray, place: Array, prior_sd: Array, seek_place: bool, force: Array
-) -> Estimates:
-    own = np.column_stack([force, place]) if seek_place else force
-    parts = [
-        FrameModel(bench, frames[chunk], place[chunk], prior_sd, seek_place).searched(own[chunk])[0]
-        for chunk in (slice(i, i + CHUNK) for i in range(0, len(frames), CHUNK))
-    ]
-    return Estimates(*(np.concatenate(each) for each in zip(*(vars(one).values() for one in parts), strict=True)))
 
 
 # Information of each frame on its force, to first order: `told = weigh f + common e + n`, with e (normal, of sd one)
@@ -233,12 +312,12 @@ def read(
     for rows in (known[i : i + CHUNK] for i in range(0, len(known), CHUNK)):
         frame = FrameModel(bench, frames[rows], place[rows], prior_sd, seek_place)
         own = np.column_stack([load[rows], place[rows]]) if seek_place else load[rows]
-        now = frame.at(np.arange(len(rows)), own)
-        at, others = frame.outlook(now, None), own.shape[1] - 2
+        around = frame.about(own)
+        at, others = frame.over_noise(around.now, around.by_own), own.shape[1] - 2
         residual = at.residual + apply(at.slopes[..., 2:], (own - frame.mean)[:, 2:])
-        root, _ = _whitening(at.slopes[..., 2:] * frame.sd[2:])  # the prior of the other unknowns is noise
-        measured = np.any(now.data.whiten != 0.0, axis=-1) & at.stands[:, None, None]
-        own_rows = apply(root, residual), root @ at.slopes[..., :2], root @ frame.shared(now)
+        root = _whitening(at.slopes[..., 2:] * frame.sd[2:])  # the prior of the other unknowns is noise
+        measured = np.any(around.now.data.whiten != 0.0, axis=-1) & at.feasible[:, None, None]
+        own_rows = apply(root, residual), root @ at.slopes[..., :2], root @ around.shared
         parts.append((*own_rows, measured.reshape(len(rows), -1)))
     if not parts:
         return FrameForces(time, weigh, told, common, 1.0)
@@ -283,9 +362,9 @@ def _memory(left: Array, measured: BoolArray, unknowns: int) -> float:
 # whose part stands below) and B with u, the slopes with u are `P B`, `P = I - J (J^T J)^-1 J^T`. A frame's own
 # covariance is `A^-1 + G C G^T`, `A = J^T J`, `G = A^-1 J^T B`, C that of u.
 
-_TOGETHER_STEPS = DampedSteps(steps=20, last=0.1, slight=2e-3, damping=1e-3)
-_OWN_STEPS = DampedSteps(steps=3, last=0.1)  # of the frames' own unknowns for each of what they share
-_AT_REST = DampedSteps(last=1e-3)
+_TOGETHER = SearchLimits(steps=20, tolerance=0.1, decrease=2e-4, damping=1e-3)
+_OWN = SearchLimits(steps=3, tolerance=0.1)  # of the frames' own unknowns for each of what they share
+_AT_REST = SearchLimits(tolerance=1e-3)
 
 
 @dataclass(frozen=True)
@@ -314,14 +393,14 @@ def rested(bench: Bench) -> Bench:
     none, at = np.zeros((1, 2)), np.ones(1)
     frame = FrameModel(bench, AT_REST, at, np.ones(2), False)
 
-    def look(rows: IntArray, shared: Array, near: Array | None = None) -> Outlook:
+    def linearise(_: IntArray, shared: Array, near: Array | None = None) -> Linearised:
         there = frame.moved(shared[0])
-        now = there.at(rows, none, near)
-        return replace(there.outlook(now, None), slopes=there.shared(now))
+        around = there.about(none, near)
+        return replace(there.over_noise(around.now, around.by_own), slopes=around.shared)
 
     count = bench.root.shape[1]
     nothing, one = np.zeros((1, count)), np.zeros(1, dtype=np.int64)
-    found = most_probable(look, look(one, nothing), nothing, nothing[0], np.ones(count), _AT_REST)
+    found = most_probable(linearise, linearise(one, nothing), nothing, nothing[0], np.ones(count), _AT_REST)
     return replace(frame.moved(found.x[0]).bench, root=bench.root @ found.root[0])
 
 
@@ -337,9 +416,8 @@ class _Common:
     """Where the search for what frames share stands."""
 
     shared: Array  # (r,) u
-    own: Array  # (F, d)
-    at: Outlook
-    now: Prediction
+    around: Around
+    residual: Array  # (F, 3 m) over the tags' noise
     inner: Array  # (F, d, d) root of A^-1
     down: Array  # (F, d, r) G
     objective: float
@@ -351,56 +429,54 @@ class _Joint(FrameModel):
     def run(self, begin: Estimates) -> tuple[Bench, Estimates, Misfit]:
         own = np.column_stack([begin.force, begin.place]) if self.seek_place else begin.force
         every, count = np.arange(len(own)), self.bench.root.shape[1]
+        prior, limits = np.tile(np.eye(len(self.sd)), (len(own), 1, 1)), replace(_OWN, within=self.within)
         best: _Common | None = None
 
-        def look(_: IntArray, shared: Array, __: Array) -> Outlook:
+        def linearise(_: IntArray, shared: Array, __: Array) -> Linearised:
             nonlocal best
             frame, first, near = self.moved(shared[0]), own, None
             if best is not None:
-                first = self.inside(best.own - self.sd * apply(best.down, shared[0] - best.shared))
-                near = best.now.solved.q
-            begun = frame.look(every, first, near)
-            found = most_probable(frame.look, begun, first, self.mean, self.sd, replace(_OWN_STEPS, inside=self.inside))
-            now = frame.at(every, found.x, found.at.near)
-            at, by_shared = frame.outlook(now, None), frame.shared(now)
-            side, corner = np.linalg.qr(
-                np.concatenate([at.slopes * self.sd, np.tile(np.eye(len(self.sd)), (len(own), 1, 1))], axis=1)
-            )
-            rows = np.pad(by_shared, ((0, 0), (0, len(self.sd)), (0, 0)))
+                first = best.around.own - self.sd * apply(best.down, shared[0] - best.shared)
+                first = np.clip(first, *self.within)
+                near = best.around.now.solved.q
+            begin = frame.linearise(every, first, near)
+            found = most_probable(frame.linearise, begin, first, self.mean, self.sd, limits)
+            around = frame.about(found.x, found.at.warm)
+            at = frame.over_noise(around.now, around.by_own)
+            side, corner = np.linalg.qr(np.concatenate([at.slopes * self.sd, prior], axis=1))
+            rows = np.pad(around.shared, ((0, 0), (0, len(self.sd)), (0, 0)))
             across = np.swapaxes(side, 1, 2) @ rows
             residual = np.concatenate([at.residual, (self.mean - found.x) / self.sd], axis=1)
-            stands = bool(at.stands.all())
+            feasible = bool(at.feasible.all())
             objective = float(np.sum(residual**2) + shared[0] @ shared[0])
-            if stands and (best is None or objective < best.objective):
+            if feasible and (best is None or objective < best.objective):
                 inner = np.linalg.inv(corner)
-                best = _Common(shared[0], found.x, at, now, inner, inner @ across, objective)
-            return Outlook(
-                residual.reshape(1, -1),
-                (rows - side @ across).reshape(1, -1, count),
-                np.array([stands]),
-                np.zeros((1, 0)),
-            )
+                best = _Common(shared[0], around, at.residual, inner, inner @ across, objective)
+            slopes = (rows - side @ across).reshape(1, -1, count)
+            return Linearised(residual.reshape(1, -1), slopes, np.array([feasible]), np.zeros((1, 0)))
 
-        nothing = np.zeros((1, count))
-        first = look(every[:1], nothing, nothing)
-        found = most_probable(look, first, nothing, nothing[0], np.ones(count), _TOGETHER_STEPS)
+        nothing, unit = np.zeros((1, count)), np.ones(count)
+        first = linearise(every[:1], nothing, nothing)
+        found = most_probable(linearise, first, nothing, nothing[0], unit, _TOGETHER)
+        last = MostProbable.of(linearise(every[:1], found.x, nothing), found.x, nothing[0], unit)
         assert best is not None
-        return self._outcome(best, found.root[0])
+        return self._outcome(best, last.root[0])
 
     def _outcome(self, best: _Common, root: Array) -> tuple[Bench, Estimates, Misfit]:
         bench, of_shared = self.moved(best.shared).bench, best.down @ root
         covariance = best.inner @ np.swapaxes(best.inner, 1, 2) + of_shared @ np.swapaxes(of_shared, 1, 2)
-        squares = np.sum(best.at.residual**2, axis=1)
-        measured = int(np.sum(np.any(best.now.data.whiten != 0.0, axis=-1)))
-        fit = Misfit(float(np.sum(squares) + best.shared @ best.shared), measured - best.own.size, len(self.frames))
+        squares, around = np.sum(best.residual**2, axis=1), best.around
+        measured = int(np.sum(np.any(around.now.data.whiten != 0.0, axis=-1)))
+        fit = Misfit(float(np.sum(squares) + best.shared @ best.shared), measured - around.own.size, len(self.frames))
         found = Estimates(
-            force=best.own[:, : self.load],
-            place=self.placed(best.own),
+            force=around.own[:, : self.load],
+            place=self.placed(around.own),
             covariance=self.sd[:, None] * covariance * self.sd,
             common=-(self.sd[:, None] * of_shared)[:, : self.load],
             objective=squares,
             chi2=squares,
-            pose=best.now.pose,
+            pose=around.now.pose,
+            settled=np.ones(len(squares), dtype=bool),
         )
         return replace(bench, root=self.bench.root @ root), found, fit
 
@@ -409,7 +485,7 @@ class _Joint(FrameModel):
 
 LEVEL = 0.95
 TOUCH = float(chi2.ppf(LEVEL, 2))
-_TOGETHER = 24  # frames that are taken together: so far apart that the tags' errors are each one's own
+_FEW = 24  # frames that are taken together: so far apart that the tags' errors are each one's own
 MOVED = 0.2  # of the largest displacement of the tags: frames that move less tell the bench nothing
 _ODD = 5.0  # times the usual squared residual: such a frame has a wrong tag, and tells the bench nothing either
 _SCAN = np.linspace(0.2, 1.0, 9)  # places where the search for the contact begins
@@ -466,7 +542,7 @@ def _together(bench: Bench, frames: IntArray) -> IntArray:
     """Which of the frames tell the bench: evenly spread among those in which the tags moved."""
     moved = np.nan_to_num(moved_by(bench.observations)[frames])
     rows = np.flatnonzero(moved >= MOVED * np.max(moved))
-    return np.asarray(rows[np.linspace(0, len(rows) - 1, min(_TOGETHER, len(rows))).astype(int)])
+    return np.asarray(rows[np.linspace(0, len(rows) - 1, min(_FEW, len(rows))).astype(int)])
 
 
 def first(bench: Bench, frames: IntArray, place: Array | None, prior_sd: Array) -> tuple[Estimates, Array]:
@@ -478,7 +554,8 @@ def first(bench: Bench, frames: IntArray, place: Array | None, prior_sd: Array) 
 
 def _at_unknown_place(bench: Bench, frames: IntArray, prior_sd: Array) -> tuple[Estimates, Array]:
     """From the place of a scan that explains a frame best; and (F,) another that does about as well, NaN: none."""
-    scan = [estimate(bench, frames, np.full(len(frames), s), prior_sd, seek_place=False, restarts=0) for s in _SCAN]
+    roughly = partial(estimate, seek_place=False, restarts=0, tolerances=_TOLERANCES[:1])
+    scan = [roughly(bench, frames, np.full(len(frames), s), prior_sd) for s in _SCAN]
     objective = np.stack([one.objective for one in scan])  # (places, F)
     best, every = np.argmin(objective, axis=0), np.arange(len(frames))
     force = np.nan_to_num(np.stack([one.force for one in scan])[best, every])

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from onebend.beam.continuation import ContinuationSettings
-from onebend.beam.grid import Modes, places, positions
+from onebend.beam.grid import Grid, Modes, places, positions
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import has_mass, make_problem, share_farther
@@ -40,9 +40,9 @@ LEARNED = ("curvature", "clamp", "origin", "along", "across", "turn")  # that a 
 _STATED = (*LEARNED, "scale")  # errors of a bench without a log, whose beam is known
 _PLACES = 401
 _SLIGHT = 3e-3  # of log k
-_REMEMBERED = 50  # grids
+_EDGES = 0.02  # of s, between edges of grids: a force between two acts as one at the next with another lever
 _SAME_PLACE = 1e-6  # s
-_NONE = 1e-300  # of a metre: no discrepancy, yet a parameter
+_NONE = 1e-300  # m, or of a metre: no error, yet a parameter
 AT_REST = np.array([-1], dtype=np.int64)  # the frame that shows the beam at rest
 # rad: how far Newton's method may turn the beam, and what it may leave; a load that takes the beam farther is not tried
 _NEAR = ContinuationSettings(max_turn=3.0, tolerance=1e-11, grow=False)
@@ -68,7 +68,7 @@ class Bench:
     ways: Array  # (c, p) of the c coefficients of log k, each way of variance 1
     mean: Array  # (n,)
     root: Array  # (n, r)
-    memory: dict[bytes, dict[str, Array]] = field(default_factory=dict, compare=False)  # see `_logs`
+    memory: dict[tuple[float, ...], FitData] = field(default_factory=dict, compare=False)  # of single frames
 
     @property
     def columns(self) -> dict[str, slice]:
@@ -122,53 +122,54 @@ class Bench:
 
     def at(self, frames: IntArray, place: Array, *, apart: bool = False) -> FitData:
         """`frames` (F,) as the fit has them, without a force, on a grid with an edge at its `place` (F,); `apart`: on
-        one grid a frame, of as many panels wherever the places are."""
-        o, rows, at = self.observations, frames, place
+        one grid a frame, of as many panels wherever the places are, with an edge near its place."""
+        edge = np.clip(_EDGES * np.round(place / _EDGES), INNERMOST, 1.0) if apart else place
+        key = len(self.seen), *frames.tolist(), *edge.tolist(), apart
+        if len(frames) > 1:
+            data = self._on_grid(frames, edge, apart)
+        elif key in self.memory:
+            data = self.memory[key]
+        else:  # as frames come, one grid serves many
+            data = self.memory[key] = self._on_grid(frames, edge, apart)
+        return replace(
+            data,
+            measured=self.seen[frames],
+            whiten=self.whiten[frames],
+            beyond=data.beyond + (self.observations.length * (place - edge))[:, None] * data.farther,
+            allowances=(*data.allowances, *(replace(a, basis=a.basis[frames]) for a in self.of_poses)),
+        )
+
+    def _on_grid(self, frames: IntArray, edge: Array, apart: bool) -> FitData:
+        """Without what was seen in these frames."""
+        o, rows, at = self.observations, frames, edge
         if apart:  # a frame more, of another place
-            rows, at = np.append(frames, frames[-1]), np.append(place, 0.5 * place[-1])
+            rows, at = np.append(frames, frames[-1]), np.append(edge, 0.5 * edge[-1])
         gravity, known = np.vstack([o.gravity, np.zeros(2)])[rows], known_loads(o, np.ones(len(o.time), dtype=bool))
         loads = push(np.zeros((len(rows), 2)), at) + (known if known.size == 1 else rested(known).take(rows))
         problem = make_problem(self.beam, loads + weight(gravity) if np.any(gravity) else loads, RESOLUTION)
         problem = problem.take(np.arange(len(frames))) if apart else problem
+        if apart and len(frames) == 1:
+            one = Grid(problem.grid.edges[0], problem.grid.order)
+            of_beam = {name: getattr(problem, name)[0] for name in ("weights", "to_nodes", "k", "q0")}
+            problem = replace(problem, grid=one, **of_beam)
         nodes, none = problem.grid.nodes, np.zeros((len(frames), 2))
-        data = replace(
+        logs = {"gain": np.ones((*nodes.shape, 1))}
+        if self.stiffness is not None:
+            logs["ways"] = (self.stiffness.basis(nodes.ravel()) @ self.ways).reshape(*nodes.shape, -1)
+        return replace(
             self.known,
-            measured=self.seen[frames],
-            whiten=self.whiten[frames],
             force=none,
             rate=none,
             error_weights=np.zeros((len(frames), 0)),
             problem=problem,
-            beyond=(nodes < place[:, None]).astype(float),
-            farther=share_farther(problem, place),
+            beyond=(nodes < edge[:, None]).astype(float),
+            farther=share_farther(problem, edge),
             weight=problem.dead_force,
             on_nodes=np.zeros((*nodes.shape, 0)),
             offset=np.log(problem.k),
             rest_on_nodes=REST_MODES.curvature(nodes),
-            allowances=tuple(replace(a, basis=a.basis[frames]) for a in self.of_poses),
+            allowances=tuple(replace(a, basis=logs[a.name]) for a in self.known.allowances),
         )
-        off = any(np.any(self.mean[self.columns[a.name]]) for a in self.known.allowances)
-        return self._with_logs(data) if off else data
-
-    def _with_logs(self, data: FitData) -> FitData:
-        """With the errors of log k, where they are not there yet."""
-        if not self.known.allowances or data.entering("log k"):
-            return data
-        logs = self._logs(data.problem.grid.nodes)
-        free = [replace(a, basis=logs[a.name]) for a in self.known.allowances]
-        return replace(data, allowances=(*free, *data.allowances))
-
-    def _logs(self, nodes: Array) -> dict[str, Array]:
-        """(..., n) at `nodes` (...) of each group of functions of log k; those of grids met before are kept."""
-        key = nodes.tobytes()
-        if key not in self.memory:
-            if len(self.memory) > _REMEMBERED:
-                self.memory.clear()
-            logs = {"gain": np.ones((*nodes.shape, 1))}
-            if self.stiffness is not None:
-                logs["ways"] = (self.stiffness.basis(nodes.ravel()) @ self.ways).reshape(*nodes.shape, -1)
-            self.memory[key] = logs
-        return self.memory[key]
 
     def predicted(self, data: FitData, load: Array, near: Array | None) -> Prediction:
         """Of frames under `load` (F, n); from shapes `near` (F, Q), if they are on the same grid."""
@@ -191,16 +192,16 @@ class Bench:
         o = self.observations
         return np.where(np.isfinite(o.rest_xy), o.rest_xy, o.length * o.marker_s[:, None] * np.array([1.0, 0.0]))
 
-    def by_shared(self, now: Prediction) -> Array:
-        """(F, m, 3, r) of the tags, per sd of each error that the frames share. Forces are of the clamp's axes: they
-        turn with the clamp."""
-        slopes = replace(now, data=self._with_logs(now.data)).slopes
+    def derivatives(self, now: Prediction) -> tuple[Array, Array]:
+        """Of the tags: (F, m, 3, n + 1) per unit of each frame's load and metre of its place; (F, m, 3, r) per sd of
+        each error that the frames share. Forces are of the clamp's axes: they turn with the clamp."""
+        slopes = now.slopes
         if "clamp" in self.columns:
             turned = slopes.a[..., 1] * now.own[:, 0, None, None] - slopes.a[..., 0] * now.own[:, 1, None, None]
             slopes.j[..., self.columns["clamp"].start] += turned
-        if "place" in self.columns and now.own.shape[1] > 2:  # the moment acts at that place too
-            slopes.j[..., self.columns["place"].start] = now.by_own(place=True)[..., -1]
-        return np.asarray(slopes.j @ self.root)
+        own = np.concatenate([slopes.a, slopes.j[..., self.columns["place"]]], axis=-1)
+        shared = slopes.j.reshape(-1, len(self.root)) @ self.root
+        return own, shared.reshape(*slopes.j.shape[:-1], -1)
 
 
 def bench_at(
@@ -219,7 +220,7 @@ def bench_at(
     as_learned = tags_as_learned and stiffness is not None and same_tags(o, setup)
     tags = [str(i) for i in o.tag_id]
     stated = {e.name: e.allowance([o], tags) if e.name in _STATED else e.with_sd(0.0, tags) for e in STATED_ERRORS}
-    stated["place"] = inside("place", "m", place_sd, ("place",))
+    stated["place"] = inside("place", "m", max(place_sd, _NONE), ("place",))
     if as_learned and setup is not None:  # the joint density below takes the place of what is stated
         known = {name: replace(a, prior_sd=np.ones(a.count)) for name, a in stated.items() if name in setup.columns}
         stated |= {name: a for name, a in known.items() if name in LEARNED}

@@ -18,7 +18,18 @@ from onebend.learning.outcome import Notice
 from onebend.learning.sensing import model
 from onebend.learning.sensing.contacts import edges_of, frames_at_edges, runs_of, within
 from onebend.learning.sensing.endings import Edge, bending, ended
-from onebend.learning.sensing.forces import TOUCH, FrameModel, Misfit, Searched, first, read, rested, search, touches
+from onebend.learning.sensing.forces import (
+    TOUCH,
+    Around,
+    FrameModel,
+    Misfit,
+    Searched,
+    first,
+    read,
+    rested,
+    search,
+    touches,
+)
 from onebend.learning.sensing.model import Bench
 from onebend.learning.sensing.sensor import FEWEST, SensedForces, SensorCheck, check_sensor
 from onebend.options import NOT_NEGATIVE, POSITIVE, option
@@ -411,7 +422,6 @@ def _over_time(
 # out as they count at this force: near a buckling load that changes much from frame to frame.
 
 _LOST = 20.0  # squared residuals over their count, above the usual: the search begins anew
-_STEPS, _CLOSE = 8, (0.3,)  # posterior sds: a step this small is the last
 _ONE = np.zeros(1, dtype=np.int64)
 
 
@@ -454,7 +464,7 @@ class OnlineSense:
         every = np.arange(len(o.time), dtype=np.int64)
         self._place = None if settings.place == "unknown" else float(places_of(o, every, settings)[0])
         self._force_sd = priors_of(beam, settings)[:2]
-        self._last: tuple[Array, Array] | None = None  # (1, d) unknowns and (1, Q) shape of the frame before
+        self._last: Around | None = None  # the frame before
 
     @one_blas_thread
     def add(self, time: float, xy: Array, angle: Array, covariance: Array) -> LiveForce:
@@ -468,18 +478,17 @@ class OnlineSense:
         frame = FrameModel(bench, _ONE, place, self._force_sd, self._place is None)
         most, found = _LOST * int(np.sum(np.isfinite(seen))), None
         if self._last is not None:
-            found, shape = frame.searched(*self._last, _CLOSE, _STEPS)
+            found, around = frame.followed(self._last.showing(bench.seen[:1], bench.whiten[:1]))
         if found is None or not found.chi2[0] <= most or not np.isfinite(found.force).all():
             begun, _ = first(bench, _ONE, None if frame.seek_place else place, self._force_sd)
             own = np.column_stack([np.nan_to_num(begun.force), begun.place])[:, : len(frame.sd)]
-            again, near = frame.searched(own)
-            found, shape = (again, near) if found is None or again.chi2[0] < found.chi2[0] else (found, shape)
+            again, anew = frame.searched(frame.begun(own))
+            found, around = (again, anew) if found is None or again.chi2[0] < found.chi2[0] else (found, around)
         chi2 = float(found.chi2[0])
         if not (chi2 <= most and np.isfinite(found.force).all()):
             self._last = None
             return _no_force(time, chi2)
-        own = np.column_stack([found.force, found.place])[:, : len(frame.sd)]
-        self._last, axes = (own, shape), bench.axes
+        self._last, axes = around, bench.axes
         force, part = axes @ found.force[0], axes @ found.covariance[0, :2, :2] @ axes.T
         sd = np.sqrt(found.covariance[0, 2, 2]) if frame.seek_place else bench.place_sd / bench.observations.length
         touched = bool(force @ np.linalg.solve(part, force) > TOUCH)
