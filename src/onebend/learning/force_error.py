@@ -23,7 +23,7 @@ from onebend.records import Array, CleanForce, ForceNoise, IntArray, Observation
 
 _MARGIN = 0.2  # s, kept away from contact when a rest is read, besides the low-pass's memory:
 _MEMORY = 1.0  # periods of its cut-off
-_MOST_KNOTS = 100
+_MOST_KNOTS = 100  # two unknowns each: a bound on the size of a fit
 _SPACING = 0.25  # of the period of the cut-off: half of Nyquist's
 _GRAIN = 0.03  # of the coloured part's variance: free from knot to knot, so that it can be inverted
 _PANEL = 8  # columns that LAPACK takes together where it adds rows to a QR factor

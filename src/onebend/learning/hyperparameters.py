@@ -63,8 +63,8 @@ _FARTHEST = 4.0  # sd of their logs from what is expected
 _GUESS_COUNTS = 3.0  # numbers that the guessed noise of readings counts for
 _CENTRE_SHARE = 0.25  # weight of the central node of the cubature
 _CURVATURE_STEP = 0.3  # sd of their logs, of the differences that give the evidence's curvature
-_ON_THE_WAY = Draws(chains=12, burn=15, kept=25)
-_AT_THE_END = Draws(chains=4, burn=20, kept=60)  # for each of the nodes of the cubature
+_ON_THE_WAY = Draws(chains=12, burn=15, kept=25)  # 300: a mean to 6 % of the spread, were they independent
+_AT_THE_END = Draws(chains=4, burn=20, kept=60)  # for each of the nodes of the cubature: 240
 _LEAST_NOISE = 0.02  # of the tags' stated sd: below it the solver's error (1e-8 L) would be fitted
 
 

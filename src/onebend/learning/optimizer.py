@@ -61,7 +61,7 @@ from onebend.records import CLAMP_SD, Array, BoolArray, Observations, covariance
 # Levenberg-Marquardt along curved valleys: trial steps are corrected by chord Newton steps, which need no new
 # derivatives. See Transtrum and Sethna (2012) on the geometry.
 
-_FIRST_DAMPING, _LARGEST_DAMPING = 1.0, 1e9
+_FIRST_DAMPING, _LARGEST_DAMPING = 1.0, 1e9  # of the precision of z, whose prior alone gives 1
 _HARDER, _EASIER = 8.0, 16.0  # factors on the damping after a rejected trial, and after an accepted one
 _LONGEST = 1.5  # of log k, in one step
 _CORRECTIONS = 4  # of one trial, at most

@@ -122,7 +122,7 @@ def _start(at: Places, target: Array, seen: BoolArray, whiten: Array) -> Array:
 # their noise.
 
 Family = Literal["gaussians", "powers"]
-_GRID = make_grid(order=32)
+_GRID = make_grid(order=32)  # integrates polynomials up to degree 63 exactly
 _ROUNDING = 1e-9  # of a spectrum that adds up to the number of rows: below lies rounding, not knowledge
 
 

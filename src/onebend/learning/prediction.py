@@ -293,7 +293,7 @@ def tag_blocks(motion: TagMotion) -> dict[str, Array]:
 _SETTLED = 1e-7  # rad, of the last change of a shape that relaxes
 _FALLING = 0.5  # of the change before: one that is larger takes a new tangent
 _FARTHEST = 5.0  # rad, of the curvature in one update of Newton's method
-_MOST_PASSES = 16
+_MOST_PASSES = 16  # a guard: each at least halves the change (`_FALLING`), or takes a new tangent
 _KEY_FRAMES = 24  # at most, through which derivatives follow the memory of the material
 _PASSES = 2  # each leaves about the relaxing share of the error of the one before
 
@@ -530,6 +530,7 @@ class Prediction(State):
     solved: Equilibrium
     s: Array  # (m,) or (F, m) places of the beam under the tags
     riding: TagRide  # the tags there
+    on_beam: Array  # (F, m, 2) m, these places in the beam's frame
     pose: Array  # (F, m, 3)
     force: Array  # (F, 2) N, the corrected force, `own` included
     # (F, 2) N, each frame's own force: minus the log's error that is faster than the knots, or all there is; behind it
@@ -629,12 +630,13 @@ def predict(
     else:
         solved = free_ends(problem, data.poses, start, settings)
     s, ride = state.ride(solved)
-    pose = ride.pose(solved.xy(s), value("origin"), data.of_tags(value("turn")))
+    xy = solved.xy(s)
+    pose = ride.pose(xy, value("origin"), data.of_tags(value("turn")))
     if data.rulers is not None:
         pose[..., :2] = paired(data.rulers, pose[..., 1] + value("across"))
     for (i, c), zero in zip(zeroed_coordinates(data.observations), value("zero"), strict=True):
         pose[:, i, c] -= zero
-    return Prediction(data, layout, x, solved, s, ride, pose + allowed("poses"), force, own)
+    return Prediction(data, layout, x, solved, s, ride, xy, pose + allowed("poses"), force, own)
 
 
 def _remembering(state: State, memory: MaterialMemory, start: Array | None) -> Array:
@@ -658,9 +660,9 @@ def _slopes(now: Prediction) -> Slopes:
     each_node = (of_rest_curvature(solved.problem, np.eye(nodes)),) if has_memory else ()
     both, by_end = _responses(now, Perturbations((*columns.changes.parts, *each_node)))
     response, by_node = np.split(both, [len(columns.changes.clamp)], axis=-1)
-    s, ride = now.s, now.riding
+    ride = now.riding
     if data.ends is None and "length" in columns.slices:
-        response[:, :, :2, columns.slices["length"]] += solved.xy(s)[..., None]
+        response[:, :, :2, columns.slices["length"]] += now.on_beam[..., None]
     carried = ride.carry(response)
     free, error = layout.free_columns(data.number), layout.columns("force", data.number)
     out = np.zeros((*now.pose.shape, len(layout.known_to(data.number)) if error is None else error.start))

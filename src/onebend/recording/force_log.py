@@ -158,7 +158,7 @@ def unit_in_name(columns: Sequence[str], time_unit: str) -> str:
     return ""
 
 
-FEWEST_ROWS = 10
+FEWEST_ROWS = 10  # a guard, and no limit of the method
 STRONGEST = 1e6  # N, or counts: more no sensor says
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 TWICE = "rows of the force log repeat a time; their mean is taken"

@@ -60,7 +60,7 @@ from onebend.records import (
     tags_among,
 )
 
-FEWEST_FRAMES = 10
+FEWEST_FRAMES = 10  # a guard, as for the force log
 
 
 @dataclass(frozen=True)

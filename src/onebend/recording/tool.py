@@ -238,7 +238,7 @@ def _meeting(strip: Strip, grid: SideGrid) -> Meeting:
     return Meeting(float(place), left, width, flank, float(slope) * grid.length)
 
 
-FEWEST_LOADED, FEWEST_AT_REST = 8, 3
+FEWEST_LOADED, FEWEST_AT_REST = 8, 3  # pictures
 TOGETHER = 0.05  # of s: so near to each other are meetings of one tool, which may slide a little
 
 

@@ -331,7 +331,7 @@ def check_recording(beam: Beam, o: Observations) -> None:
 # The search begins at the load that balances the curvature from inverse kinematics (22), `k (q - q0) = (r(s_a) - r(s))
 # x F` below `s_a`: linear least squares over places, with the load's prior.
 
-_MODES = 4
+_MODES = 4  # of the curvature, for a start
 _NODES = 0.05 + 0.9 * (np.arange(24) + 0.5) / 24  # of the way to the force
 _CURVATURE_SD = 0.3  # rad, of such a shape's curvature
 

@@ -19,7 +19,7 @@ from onebend.learning.force_error import ForceError
 from onebend.learning.hyperparameters import SPREAD
 from onebend.records import Array, CleanForce, IntArray
 
-_ROUNDS, _CHOICES = 6, 2
+_ROUNDS, _CHOICES = 6, 2  # of Gauss-Newton, and of sizes, each about the last numbers
 _MOST = 160  # frames: the log behind its low-pass has no more to say
 FEWEST = 12  # frames
 SURELY = 3.3  # sds: by chance in one of a thousand
@@ -31,6 +31,7 @@ _TOLD = 1e-3  # of the prior's information: what a frame tells less of in a dire
 _FRAME = 0.3  # noise of each frame over the coloured part that is expected
 _FARTHEST = 4.0  # sd of their logs from what is expected
 START = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # a log that is right
+# Bias and drift have next to no prior.
 _LOOSE = np.array([_GAIN_SD**-2, _DIRECTION_SD**-2, _DELAY_SD**-2, *np.full(4, 1e-12)])
 _DRAWS, _EVERY, _STRIDE = 240, 4, 0.6  # of the sizes, by Metropolis: every fourth is kept; sd of a step
 
@@ -149,7 +150,7 @@ class _Check:
         """The sizes of greatest evidence of the model that is linear about `x` (7,), which is integrated out."""
         if not len(sizes):
             return sizes
-        slopes, away = self._slopes(x).reshape(-1, len(x)), self._away(x).ravel()
+        slopes, away = self._about(x)
 
         def cost(z: Array) -> float:
             return self._linear(x, slopes, away, z)[0]
@@ -161,7 +162,7 @@ class _Check:
     def over_sizes(self, x: Array, sizes: Array) -> tuple[Array, Array]:
         """Mean (7,) and covariance (7, 7) of the seven numbers, averaged over sizes as likely as the log makes them;
         from `x` and `sizes` on, about which the model is linear."""
-        slopes, away = self._slopes(x).reshape(-1, len(x)), self._away(x).ravel()
+        slopes, away = self._about(x)
         now = self._linear(x, slopes, away, sizes)
         kept, rng = [now], np.random.default_rng(0)
         for draw in range(_DRAWS if len(sizes) else 0):
@@ -191,11 +192,12 @@ class _Check:
     def settled(self, x: Array, sizes: Array) -> tuple[Array, Array]:
         """The seven numbers (7,) after Gauss-Newton from `x`, and their covariance (7, 7)."""
         for _ in range(_ROUNDS):
-            slopes = self._slopes(x).reshape(-1, len(x))
-            weighed = cho_solve(cho_factor(self._covariance(x, sizes), lower=True), slopes)
-            normal = slopes.T @ weighed + np.diag(_LOOSE)
-            x = x + np.linalg.solve(normal, weighed.T @ self._away(x).ravel() - _LOOSE * (x - START))
-        return x, np.linalg.inv(normal)
+            _, x, spread = self._linear(x, *self._about(x), sizes)
+        return x, spread
+
+    def _about(self, x: Array) -> tuple[Array, Array]:
+        """(2 T, 7) and (2 T,) N: the log's slopes at `x` (7,), and what is left of it."""
+        return self._slopes(x).reshape(-1, len(x)), self._away(x).ravel()
 
     def noise(self, x: Array, sizes: Array) -> float:
         """N, RMS of each component of the log's own error, as likely as all errors are."""
