@@ -41,8 +41,8 @@ def ground() -> tuple[Array, Array]:
     return picture(np.zeros((1, 3)), [0], view()), to_plane(view(), np.stack([columns, rows], axis=-1).reshape(-1, 2))
 
 
-def painted(middle: Array | None, seed: int) -> Picture:
-    """A picture of a body with this middle line (n, 2) m."""
+def painted(middle: Array | None, seed: int, tags: Array | None = None) -> Picture:
+    """A picture of a body with this middle line (n, 2) m, and with tags (3, 3) m, m, rad on it."""
     empty, xy = ground()
     mean = empty.copy()
     if middle is not None:
@@ -50,16 +50,22 @@ def painted(middle: Array | None, seed: int) -> Picture:
         body = np.clip(0.5 + (HALF_WIDTH - away) * WIDTH / 0.26, 0.0, 1.0).reshape(HEIGHT, WIDTH)
         body[np.hypot(*xy.T).reshape(HEIGHT, WIDTH) < 0.012] = 0.0  # the tag lies on it
         mean = (1.0 - body) * empty + body * LEVEL
+    if tags is not None:
+        shown = picture(np.concatenate([np.zeros((1, 3)), tags]), range(4), view())
+        mean = np.where(np.abs(shown - empty) > 1.0, shown, mean)
     noise = 1.5 * np.random.default_rng(seed).standard_normal(mean.shape)
     return np.clip(np.rint(mean + noise), 0, 255).astype(np.uint8)
 
 
 @cache
-def frames() -> tuple[FilmFrame, ...]:
-    """The push of `streamed`, of a body without tags."""
+def frames(*, tagged: bool = False) -> tuple[FilmFrame, ...]:
+    """The push of `streamed`, of a body without tags or with them."""
     time = np.arange(0.0, DURATION, 1.0 / FPS)
-    lines = BEAM.equilibrium(force_at(time)).xy(np.linspace(0.0, 1.0, 400))
-    return tuple(FilmFrame(t, float(at), painted(lines[t], t)) for t, at in enumerate(time))
+    shape, s = BEAM.equilibrium(force_at(time)), np.array([1.0, 2.0, 3.0]) / 3.0
+    lines = shape.xy(np.linspace(0.0, 1.0, 400))
+    tags = np.concatenate([shape.xy(s), shape.angle(s)[..., None]], axis=-1)
+    drawn = (painted(lines[t], t, tags[t] if tagged else None) for t in range(len(time)))
+    return tuple(FilmFrame(t, float(time[t]), one) for t, one in enumerate(drawn))
 
 
 @cache
@@ -76,6 +82,34 @@ def test_k_is_learned_from_the_outline() -> None:
     assert np.mean((band.low <= 0.02) & (band.high >= 0.02)) > 0.9
     assert np.sqrt(np.mean((band.k / 0.02 - 1.0) ** 2)) < 0.15
     assert state.counts.learned_frames > 4  # one by one, after the review
+
+
+def test_beside_tags_both_are_learned_from() -> None:
+    live = Live(described(), settings=LiveSettings(first_review=4.0, review_growth=2.0), beside=False)
+    follow(live, play(frames(tagged=True), log(), OFFSET))
+    learning = live._following.learning
+    assert learning is not None
+    assert learning.learned > 4  # one by one, after the review
+    assert learning.reader.points is not None
+    m = learning.reader.points.traced
+    assert 3 == np.sum(~m) < 15 < np.sum(m)
+    edges = [one.name for one in learning.learner.nuisances() if "edges lie off" in one.name]
+    assert len(edges) == 2
+    assert any(one.name.startswith("discrepancy tag") for one in learning.learner.nuisances())
+    band = learning.learner.stiffness.band(S)
+    assert np.mean((band.low <= 0.02) & (band.high >= 0.02)) > 0.9
+    assert np.sqrt(np.mean((band.k / 0.02 - 1.0) ** 2)) < 0.1
+    seen = observed_in(live._seen())
+    frame = learning.reader.frame(seen.time[40] - learning.reader.offset, frame_at(live, 40), np.zeros(2))
+    assert frame is not None
+    np.testing.assert_allclose(frame.xy, seen.xy[40], atol=1e-4)  # in the order of their places
+
+
+def frame_at(live: Live, number: int) -> BodyFrame:
+    """What was seen in one frame of the stream."""
+    one = list(live._frames.frames)[number]
+    assert isinstance(one, BodyFrame)
+    return one
 
 
 def test_what_is_reviewed_is_what_a_film_of_it_shows() -> None:

@@ -204,6 +204,8 @@ def test_both_flanks_tell_the_error_of_their_middle_and_how_long_it_lasts() -> N
     found = outline.lasting_sd(flanks[0] - flanks[1])
     middle_sd, time = outline.SHARED * np.sqrt(0.5), (1.0 + rho) / (1.0 - rho)
     np.testing.assert_allclose(np.mean(found), middle_sd * np.sqrt(time), rtol=0.1)
+    one_alone = np.where(np.arange(20) == 3, np.nan, flanks[0] - flanks[1])
+    np.testing.assert_array_equal(np.isnan(outline.lasting_sd(one_alone)), np.arange(20) == 3)
 
 
 def test_without_a_body_nothing_is_traced() -> None:

@@ -1,4 +1,4 @@
-"""What each picture of a camera shows of the body: its tags or, of a body without tags, its outline."""
+"""What each picture of a camera shows of the body: its tags and its outline."""
 
 from __future__ import annotations
 
@@ -25,8 +25,10 @@ from onebend.recording.outline import (
 from onebend.recording.signals import nan_mean
 from onebend.recording.tags import TrackedFrame, Tracker
 from onebend.recording.video import Picture
-from onebend.records import Array, Detections, IntArray, OutlineTrack, View
+from onebend.records import Array, BoolArray, Detections, IntArray, OutlineTrack, View
 
+GIVEN_UP = 60  # pictures in a row without the outline: beside tags it is followed no more. One in which it was looked
+# for in vain takes as long as many
 AGAIN = 0.5  # s after which a body that was not found is looked for again
 SHOWN = (1.0 / 3.0, 2.0 / 3.0, 1.0)  # s of the points that say how far the body moved
 NOT_SEEN = "the outline of the body is not seen"
@@ -46,16 +48,16 @@ class BodyFrame(TrackedFrame):
     """The tags of the base and the outline in one picture."""
 
     outline: OutlineSighting | None = None  # None: it was not found yet
-    places: Array | None = None  # (3, 2) of `SHOWN`, over the body's length; NaN where it was lost
+    places: Array | None = None  # (3, 2) of `SHOWN`, over the length of a body without tags; NaN where it was lost
 
 
 class BodyTracker:
     """Follows tags and outline through the pictures of one camera. Not thread-safe."""
 
     def __init__(self, rec: Recording) -> None:
-        self.why = "" if rec.tags.on_beam else NOT_SEEN  # there is no outline in the newest picture
+        self.why = "" if rec.tags.on_beam else NOT_SEEN  # nothing is seen of the body in the newest picture
         self.follower: FlankFollower | None = None
-        self._rec, self._next, self._corners = rec, -np.inf, np.empty(0)
+        self._rec, self._next, self._corners, self._lost = rec, -np.inf, np.empty(0), 0
         self._tags = Tracker([tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)], rec.tags.family)
 
     @property
@@ -66,14 +68,14 @@ class BodyTracker:
     def step(self, picture: Picture, time: float, colour: Any = None) -> TrackedFrame:
         """As `Tracker.step`; `colour`: the same picture as `av.VideoFrame`, where there is more than grey."""
         seen = self._tags.step(picture, time)
-        if self._rec.tags.on_beam:
+        if not self._rec.traces_outline or (self._rec.tags.on_beam and self._lost > GIVEN_UP):
             return seen
         planes = (
             Planes(picture, np.full((2, 2, 2), 128, np.uint8)) if colour is None else planes_of(self._rec, 0, colour)
         )
         outline = self._outline(planes, seen)
         places = None
-        if outline is not None and self.follower is not None:
+        if outline is not None and self.follower is not None and not self._rec.tags.on_beam:
             stations = self.follower.place.stations
             curve = stations.curve(outline.state).xy / stations.length
             places = np.stack([np.interp(SHOWN, stations.s, column) for column in curve.T], axis=1)
@@ -81,23 +83,26 @@ class BodyTracker:
         return BodyFrame(**vars(seen), outline=outline, places=places)
 
     def _outline(self, planes: Planes, seen: TrackedFrame) -> OutlineSighting | None:
-        if not np.isfinite(seen.corners).any() or (self.follower is None and seen.time < self._next):
+        base = len(self._rec.tags.on_base)
+        if not np.isfinite(seen.corners[:base]).any() or (self.follower is None and seen.time < self._next):
             return None
         try:
             if self.follower is None:
                 self._next = seen.time + AGAIN
                 height, width = seen.shape
-                tag_id = np.array([tag.id for tag in self._rec.tags.on_base])
+                tag_id = np.array([tag.id for tag in (*self._rec.tags.on_base, *self._rec.tags.on_beam)])
                 found = Detections(np.array([seen.time]), tag_id, seen.corners[None], width, height)
                 view = measure_markers(found, self._rec).view
                 assert view is not None
-                self.follower, self._corners = FlankFollower(body_place(self._rec, view)), seen.corners
-            shift = np.nan_to_num(nan_mean((seen.corners - self._corners).reshape(-1, 2)))
+                self.follower, self._corners = FlankFollower(body_place(self._rec, view)), seen.corners[:base]
+            shift = np.nan_to_num(nan_mean((seen.corners[:base] - self._corners).reshape(-1, 2)))
             state, away = self.follower.step(Sight(planes, self.follower.place.view, shift))
         except ObservationError as wrong:
-            self.follower, self.why = None, str(wrong).removeprefix(f"{self._rec.name}: ")
+            self.follower, why = None, str(wrong).removeprefix(f"{self._rec.name}: ")
+            self.why, self._lost = "" if self._rec.tags.on_beam else why, self._lost + GIVEN_UP // 3
             return None
-        self.why = "" if np.isfinite(away).any() else NOT_SEEN
+        self._lost = 0 if np.isfinite(away).any() else self._lost + 1
+        self.why = NOT_SEEN if self._lost and not self._rec.tags.on_beam else ""
         return OutlineSighting(state, away, shift)
 
 
@@ -134,6 +139,13 @@ class PointReader:
     half: Array  # (M,) m
     kept: IntArray  # (n,) which of `PLACES`
     covariance: Array  # (n, 3, 3) of a point in one frame
+    traced: BoolArray  # (m,) which of tags and points together, in the order of their places, they are
+
+    def beside(self, tags: Poses, view: View, seen: OutlineSighting | None) -> Poses:
+        """(1, m) the tags (1, m - n) and the points, in the order of their places."""
+        order = np.argsort(np.concatenate([np.flatnonzero(~self.traced), np.flatnonzero(self.traced)]))
+        pairs = zip(vars(tags).values(), vars(self.poses(view, seen)).values(), strict=True)
+        return Poses(*(np.concatenate(pair, axis=1)[:, order] for pair in pairs))
 
     def poses(self, view: View, seen: OutlineSighting | None) -> Poses:
         """(1, n) points in the view's plane; NaN where they were not seen."""
@@ -148,7 +160,8 @@ class PointReader:
         return Poses(poses.xy[:, self.kept], poses.angle[:, self.kept], self.covariance[None])
 
 
-def point_reader(outline: SeenOutline, s: Array, covariance: Array) -> PointReader:
-    """The reader of points at `s` (n,), of these covariances (n, 3, 3) [m^2, rad^2]."""
+def point_reader(outline: SeenOutline, s: Array, covariance: Array, traced: BoolArray) -> PointReader:
+    """The reader of the `traced` (m,) ones among markers at `s` (m,), of these covariances (m, 3, 3) [m^2, rad^2]."""
     width, _ = body_width(outline.found.away, outline.half)
-    return PointReader(outline.place, 0.5 * width, np.searchsorted(PLACES, s - 1e-9), covariance)
+    kept = np.searchsorted(PLACES, s[traced] - 1e-9)
+    return PointReader(outline.place, 0.5 * width, kept, covariance[traced], traced)

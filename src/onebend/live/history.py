@@ -21,7 +21,7 @@ from onebend.recording.entries import Recording
 from onebend.recording.force import to_beam
 from onebend.recording.signals import LATEST, nan_median
 from onebend.recording.tags import BlockTracks, TrackedFrame
-from onebend.records import Array, Observations, View
+from onebend.records import Array, Observations, View, read_before_fit
 
 _MOST_SIGHTINGS = 1000  # of unexpected and of doubled tags
 
@@ -204,7 +204,7 @@ class FrameReader:
     place: float  # of the push; NaN where the log says it
     gravity: Array  # (2,) m/s^2
     largest: float  # m, displacement so far
-    points: PointReader | None = None  # of a body without tags
+    points: PointReader | None = None  # of the outline, where it is learned from
 
     def stands_in(self, ahead: float) -> float:
         """s: a frame up to so far after the newest row of the log takes its force. `ahead` [s]: usual lead of that
@@ -215,14 +215,15 @@ class FrameReader:
         return float(np.clip(self.offset - ahead, 0.0, AS_NEAR * self.offset_sd))
 
     def poses(self, corners: Array, outline: OutlineSighting | None = None) -> tuple[Array, Array, Array]:
-        """(m, 2) m, (m,) rad and (m, 3, 3): the beam's tags in its frame, from corners (b + m, 4, 2) px, or points of
-        its outline."""
+        """(m, 2) m, (m,) rad and (m, 3, 3): the beam's tags in its frame, from corners (b + tags, 4, 2) px, and points
+        of its outline."""
         noise = max(self.view.corner_sd, _LEAST_SD)
         poses, misfit, _ = measure_poses(self.view, corners[None], self.tag_size, noise=noise, refinements=1)
         poses = drop(poses, misfit > _WRONG * noise)
         poses = Poses(poses.xy, poses.angle - self.turn, poses.covariance)
         base = len(self.base_s)
-        own = part(poses, slice(base, None)) if self.points is None else self.points.poses(self.view, outline)
+        own = part(poses, slice(base, None))
+        own = own if self.points is None else self.points.beside(own, self.view, outline)
         if self.follows_base:
             own = relative_to(together(part(poses, slice(base)), self.base_s.tolist()), own)
         xy, covariance = own.xy[0], own.covariance[0]
@@ -256,8 +257,8 @@ class FrameReader:
 
 
 def reader_of(rec: Recording, seen: Observations, outline: SeenOutline | None = None) -> FrameReader:
-    """The reader that goes on from what was observed so far, as `replayed.taken`, of frames that show a rest and a
-    push; `outline` of a body without tags.
+    """The reader that goes on from what was observed so far, of frames that show a rest and a push; `outline` where
+    points of it are among the markers.
 
     Raises:
         ObservationError: there is no camera or no force.
@@ -269,8 +270,8 @@ def reader_of(rec: Recording, seen: Observations, outline: SeenOutline | None = 
     shared = np.zeros((len(seen.time), m, 3, 3))
     if seen.by_camera is not None:
         shared = seen.by_camera @ np.swapaxes(seen.by_camera, -1, -2)
-    away = np.linalg.norm(seen.xy - seen.rest_xy, axis=-1)
-    variance = np.trace(seen.covariance[..., :2, :2], axis1=-2, axis2=-1)
+    away, few = np.linalg.norm(seen.xy - seen.rest_xy, axis=-1), read_before_fit(seen)
+    variance = np.trace(seen.covariance[:, few, :2, :2], axis1=-2, axis2=-1)
     sign = -1.0 if force.acts_on == "robot" else 1.0
     return FrameReader(
         offset=clock.offset,
@@ -289,5 +290,7 @@ def reader_of(rec: Recording, seen: Observations, outline: SeenOutline | None = 
         place=push.at,
         gravity=seen.gravity[-1],
         largest=float(np.nanmax(away)) if np.isfinite(away).any() else 0.0,
-        points=None if outline is None else point_reader(outline, seen.marker_s, nan_median(seen.covariance)),
+        points=None
+        if outline is None or seen.traced is None
+        else point_reader(outline, seen.marker_s, nan_median(seen.covariance), seen.traced),
     )

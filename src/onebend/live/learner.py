@@ -164,7 +164,8 @@ class OnlineLearner:
         """Sizes of the tags' noise and of the force error, as they are now."""
         noise, state = self._state.solution.process, self._state
         load = state.hyperparameters.load
-        return LiveHyperparameters(state.marker, state.misfit, noise.white, noise.coloured, noise.tau, noise.walk, load)
+        tags = state.marker, float(np.max(state.misfit))
+        return LiveHyperparameters(*tags, noise.white, noise.coloured, noise.tau, noise.walk, load)
 
     @property
     @one_blas_thread

@@ -49,23 +49,23 @@ def nothing_marginalised(parameters: int) -> Marginalised:
 
 
 def marginalise_oldest(
-    keys: KeyFrames, marginalised: Marginalised, process: ForceNoise, marker: float, own: Callable[[Array], Array]
+    keys: KeyFrames, marginalised: Marginalised, process: ForceNoise, sizes: Array, own: Callable[[Array], Array]
 ) -> None:
-    """Marginalise the oldest key frame, under this force error and noise `marker` of the tags.
+    """Marginalise the oldest key frame, under this force error and noise of these `sizes` (m,) of the markers.
 
     `own`: the load's own time at given times.
     """
     begin, end, frames = (float(values[0]) for values in (keys.begin, keys.end, keys.frames))
     since = float(np.diff(own(np.array([marginalised.time, keys.centre[0]])))[0])
     slow, fast = slow_variance(process, end - marginalised.time, since), fast_variance(process, end - begin, frames)
-    marginalised.add(likelihood_rows(keys, 0, marker, process.white), end, slow=slow, fast=fast)
+    marginalised.add(likelihood_rows(keys, 0, sizes, process.white), end, slow=slow, fast=fast)
     keys.drop(0)
 
 
-def likelihood_rows(keys: KeyFrames, i: int, marker: float, white: float) -> Array:
+def likelihood_rows(keys: KeyFrames, i: int, sizes: Array, white: float) -> Array:
     """(R, n + 3) rows `[J, -A | zeta]` of unit noise on x and the force error of frame i, at these sizes of noise; at
     rest two more, of the log itself."""
-    root = np.repeat(np.sqrt(keys.weight[i]), 3)[:, None] / marker
+    root = np.repeat(np.sqrt(keys.weight[i]) / sizes, 3)[:, None]
     rows = root * keys.rows[i]
     rows[:, -3:-1] *= -1.0
     if not keys.rest[i]:
@@ -199,14 +199,14 @@ def spans_of(keys: KeyFrames, marginalised: Marginalised, own: Callable[[Array],
 
 
 def information(
-    keys: KeyFrames, marginalised: Marginalised, p: int, *, marker: float, white: float, of_tags: IntArray
+    keys: KeyFrames, marginalised: Marginalised, p: int, *, sizes: Array, white: float, of_tags: IntArray
 ) -> InformationForm:
     """Log likelihood of the key frames, with their robust weights, and of those marginalised, over the first p
-    parameters, the force errors and the other parameters; `marker`: noise of the tags, `white` N: of the log, `of_tags`
-    (k, q): columns that move one of the k tags alone."""
+    parameters, the force errors and the other parameters; `sizes` (m,) of the markers' noise; `white` N, the log's;
+    `of_tags` (k, q): columns that move one of the k tags alone."""
     used, n, first = keys.used, keys.rows.shape[-1] - 3, 2 * int(np.isfinite(marginalised.time))
     start, behind = p + first, p + first + 2 * used
-    every, each = _products(keys, np.sqrt(keys.weight[:used]) / marker, of_tags)
+    every, each = _products(keys, np.sqrt(keys.weight[:used]) / sizes, of_tags)
     size, middle = n + first + 2 * used, slice(start, behind)
     pieces = (slice(p), slice(p)), (slice(behind, size), slice(p, n))  # of all parameters, of x
     matrix, vector = np.zeros((size, size)), np.zeros(size)

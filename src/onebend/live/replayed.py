@@ -9,23 +9,17 @@ import numpy as np
 from onebend.beam.stiffness import Profile, UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.force_error import ForceError, force_error, ramp
-from onebend.learning.frames import of_tags, push_places, usable_frames
+from onebend.learning.frames import push_places, usable_frames
 from onebend.learning.parameters import STATED_ERRORS, Spline, make_layout
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.learner import OnlineLearner
 from onebend.progress import one_blas_thread
-from onebend.records import Array, BoolArray, Observations, covariance_with_camera, tags_among
+from onebend.records import Array, BoolArray, Observations, covariance_with_camera
 
 _MARGIN = 0.2  # s, kept away from contact when the rests are read
 _REST_STEP = 0.05  # s, between two looks at the log where no film was made
 _LONGER, _LEAST_DOUBT = 1.5, 0.1  # a filter makes memories alike: how much, by trial
 _FAST = 0.2  # of the force error that lasts: what it is off by in every frame anew
-
-
-def taken(observations: Observations) -> Observations:
-    """What the live learner takes: the tags or, of a body without tags, the points of its outline."""
-    tags = tags_among(observations)
-    return of_tags(observations, tags) if tags.any() else observations
 
 
 @one_blas_thread
@@ -43,7 +37,7 @@ def replay(
     Raises:
         LearningError: as `OnlineLearner`, or masses ride on the beam, which it does not know.
     """
-    o = taken(observations)
+    o = observations
     if o.stated.masses and np.any(o.gravity != 0.0):
         text = f"{o.source.name}: the live learner knows nothing of masses that ride on the beam"
         raise LearningError(f"{text} ([[beam.masses]]). Learn the recording as a whole")

@@ -52,23 +52,24 @@ def without_force(residual: Array, a: Array) -> Array:
     return np.asarray(residual - (a @ force_in(residual, a)[..., None])[..., 0])
 
 
-def robust_weights(keys: KeyFrames, residual: Array, marker: float, bulk: float) -> Array:
+def robust_weights(keys: KeyFrames, residual: Array, sizes: Array, bulk: float) -> Array:
     """(K, m) robust weights of the tags: 1 where the residual is within `bulk` sd, beyond it falling with its square.
 
     In the bulk all tags have the same weight: the averages of two frames would mix them unevenly otherwise.
     """
-    distance = np.sqrt(np.sum(residual.reshape(len(residual), -1, 3) ** 2, axis=-1)) / marker
+    distance = np.sqrt(np.sum(residual.reshape(len(residual), -1, 3) ** 2, axis=-1)) / sizes
     visible = keys.information[: keys.used, :, 0, 0] > 0.0
     return np.asarray(visible * np.minimum(1.0, bulk / np.maximum(distance, 1e-300)) ** 2)
 
 
 def tag_noise_size(keys: KeyFrames, residual: Array, spent: float, expected: float) -> float:
-    """Size of the tags' noise over what their covariances say.
+    """Size of the tags' noise over what their covariances say; without tags of the outline's.
 
     `spent`: effective number of parameters; `expected`: the size before the data.
     """
     loaded = ~keys.rest[: keys.used]
     r = counted(keys, without_force(residual[loaded], keys.rows_a[: keys.used][loaded]))
+    r = r[:, np.repeat(~keys.traced | keys.traced.all(), 3)]
     numbers = float(np.count_nonzero(r)) - 2.0 * len(r)
     if numbers <= 0.0:
         return expected
@@ -86,12 +87,13 @@ def surprise(
     frame: CheckedFrame,
     solution: KeyFramePosterior,
     x: Array,
-    marker: float,
+    sizes: Array,
     expected: tuple[Array, float],
 ) -> tuple[Array, Array]:
     """Innovation (m, 3) of the last key frame at parameters x, and its distance (m,) in sd.
 
-    `marker`: noise of the tags; `expected`: rows (slots,) of the frame's force error on the known ones, its variance.
+    `sizes` (m,) of the markers' noise; `expected`: rows (slots,) of the frame's force error on the known ones, its
+    variance.
     """
     i, tags, (rows, own) = keys.used - 1, len(frame.visible), expected
     j, a = keys.j[i].reshape(-1, len(x)), keys.a[i].reshape(-1, 2)
@@ -99,7 +101,7 @@ def surprise(
     by_errors, p = (-a[:, None, :] * rows[None, :, None]).reshape(len(j), -1), solution.count
     spread = solution.spread(np.concatenate([j[:, :p], by_errors, j[:, p:]], axis=1)) + own * a @ a.T
     blocks = spread.reshape(tags, 3, tags, 3)[np.arange(tags), :, np.arange(tags)]
-    solved = np.linalg.solve(blocks + marker**2 * frame.covariance, innovation[..., None])[..., 0]
+    solved = np.linalg.solve(blocks + sizes[:, None, None] ** 2 * frame.covariance, innovation[..., None])[..., 0]
     return innovation, np.sqrt(np.maximum(np.sum(innovation * solved, axis=1), 0.0))
 
 
@@ -108,25 +110,23 @@ _ROUGH = 1.7  # times the tags' noise: smaller misfits pass as noise
 _CLEAR_MISS = 3.0  # times the noise that a tag's covariance states: a smaller residual is no miss
 
 
-def misfit(keys: KeyFrames, marker: float) -> float:
-    """Root mean square of the tags' whitened residuals at the linearisation point, less what a force error in each
-    frame explains; 0 where it is no more than noise of size `marker`.
+def misfit(keys: KeyFrames, sizes: Array) -> Array:
+    """(m,) root mean square of the markers' whitened residuals at the linearisation point, less what a force error in
+    each frame explains, in proportion to their noise of these `sizes` (m,); 0 where it is no more than that.
     """
     loaded = ~keys.rest[: keys.used]
-    residual = (keys.root[: keys.used] @ keys.residual[: keys.used][..., None]).reshape(keys.used, -1)[loaded]
-    r = counted(keys, without_force(residual, keys.rows_a[: keys.used][loaded]))
+    root, a = keys.root[: keys.used] / sizes[:, None, None], keys.rows_a[: keys.used] / np.repeat(sizes, 3)[:, None]
+    residual = (root @ keys.residual[: keys.used][..., None]).reshape(keys.used, -1)[loaded]
+    r = counted(keys, without_force(residual, a[loaded]))
     size = float(np.sqrt(np.vdot(r, r) / max(np.count_nonzero(r) - 2.0 * len(r), 1.0)))
-    return size if size > _ROUGH * marker else 0.0
+    return size * sizes * (size > _ROUGH)
 
 
-def key_frame_doubts(keys: KeyFrames, marker: float, size: float, missed: str) -> tuple[str, ...]:
-    """The doubts that the key frames raise.
-
-    `marker`: noise of the tags over their covariances; `size`: of the `misfit`; `missed`: what `missed_tag` returned.
-    """
+def key_frame_doubts(keys: KeyFrames, rough: float, missed: str) -> tuple[str, ...]:
+    """The doubts that the key frames raise; `rough`: the `misfit` over the noise; `missed` as of `missed_tag`."""
     out = []
-    if size > FAR_OFF * marker:
-        out.append(say("live: far off", times=size / marker))
+    if rough > FAR_OFF:
+        out.append(say("live: far off", times=rough))
     out += [missed] if missed else []
     lost = int(np.count_nonzero(keys.lost[: keys.used]))
     if lost:

@@ -27,12 +27,13 @@ from onebend.live.body import NOT_SEEN, SeenOutline
 from onebend.live.history import FrameReader, reader_of
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.learner import OnlineLearner
-from onebend.live.replayed import replay, taken
+from onebend.live.replayed import replay
 from onebend.progress import interrupts_held, leave_interrupts_to_parent, one_blas_thread
 from onebend.recording.entries import Recording
 from onebend.recording.force import find_contact
 from onebend.recording.force_log import FEWEST_ROWS, whole_log
 from onebend.recording.observe import FEWEST_FRAMES, ObserveSettings, markers_of, observe_markers
+from onebend.recording.outline import joined, left_out
 from onebend.recording.tags import BlockTracks, summary
 from onebend.recording.tool import SmallPictures, ToolPlace, tool_checked, tool_in_small
 from onebend.recording.tracks import with_angles
@@ -63,7 +64,7 @@ class Seen:
     recording: Recording
     tracks: BlockTracks
     rows: Array  # (N, 3 or 4) of the force log
-    outline: SeenOutline | None = None  # of a body without tags
+    outline: SeenOutline | None = None
     small: SmallPictures | None = None  # in which the tool may show; None: it is not looked for
 
     @property
@@ -111,9 +112,10 @@ def _markers_in(seen: Seen) -> Markers:
         raise ObservationError(f"{len(tracks.time)} frames came so far; at least {FEWEST_FRAMES} are needed")
     tag_id = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
     found = summary(rec.video, rec.tags, tag_id, [tracks])
-    if seen.outline is None and not rec.tags.on_beam:
+    markers, outline = markers_of(rec, found), seen.outline
+    if outline is None and not rec.tags.on_beam:
         raise ObservationError(NOT_SEEN, about="outline")
-    return markers_of(rec, found, None if seen.outline is None else seen.outline.track)
+    return markers if outline is None else joined(rec, markers, found, lambda: outline.track)
 
 
 def log_of(rec: Recording, rows: Array) -> ForceLog | None:
@@ -162,9 +164,12 @@ def review(
     try:
         start = start_of([observed], None)
         learner = replay(observed, start, gain_sd=observed.stated.gain_sd, settings=learning)
+        if learner.doubts and observed.traced is not None and not observed.traced.all():  # as `fit` does
+            alone = review(replace(seen, outline=None), observing, learning)
+            return replace(alone, remarks=(*alone.remarks, left_out(learner.doubts[0])))
     except (OnebendError, np.linalg.LinAlgError) as error:
         return replace(known, why=str(error))
-    return replace(known, reader=reader_of(seen.recording, taken(observed), seen.outline), learner=learner)
+    return replace(known, reader=reader_of(seen.recording, observed, seen.outline), learner=learner)
 
 
 def known_clock(clock: ClockOffset | None) -> ClockOffset | None:

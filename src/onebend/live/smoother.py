@@ -100,7 +100,7 @@ class Smoother:
         self._spent = 0.0
         self._turns = 0
         self._linearised = 0  # key frames linearised in the last update
-        self.misfit = 0.0  # of the tags, over their covariances; 0 while it is no more than noise
+        self.misfit = np.zeros(tags)  # (m,) of the markers, over their covariances; 0 while it is no more than noise
         self._failed = False  # whether the last solution failed
         self._missed = ""  # what `missed_tag` returned last
         self._too_soft = False  # whether the last frame had no equilibrium
@@ -113,8 +113,19 @@ class Smoother:
 
     @property
     def marker(self) -> float:
-        """Size of the tags' noise, over their covariances."""
+        """Size of the tags' noise, over their covariances; without tags of the outline's."""
         return self.hyperparameters.noise[0].marker
+
+    @property
+    def sizes(self) -> Array:
+        """(m,) sizes of the markers' noise, over their covariances: beside tags an outline's is as stated."""
+        traced = self.keys.traced
+        return np.where(traced & ~traced.all(), 1.0, self.marker)
+
+    @property
+    def noise(self) -> Array:
+        """(m,) the same, a misfit beyond it included."""
+        return np.maximum(self.sizes, self.misfit)
 
     def enter(self, frame: CheckedFrame, rate: Array) -> bool:
         """Add the frame as the last key frame, linearised; False where it has no equilibrium and is left out.
@@ -146,7 +157,7 @@ class Smoother:
             if missed.isdisjoint((pair, pair + 1, slot)):
                 key_frames.accept_average(keys, pair, slot, self.point)
         while keys.used > self._settings.key_frames + 1:
-            marginalise_oldest(keys, self.marginalised, self._process, max(self.marker, self.misfit), self._stages.own)
+            marginalise_oldest(keys, self.marginalised, self._process, self.noise, self._stages.own)
         return True
 
     def _linearise(self, chosen: list[int]) -> set[int]:
@@ -179,7 +190,7 @@ class Smoother:
         A tag too far from where it was expected gets no weight, unless that lasts for some frames.
         """
         keys, i = self.keys, self.keys.used - 1
-        innovation, distance = surprise(keys, frame, self.solution, self.x, self.marker, self._expected[1:])
+        innovation, distance = surprise(keys, frame, self.solution, self.x, self.sizes, self._expected[1:])
         far = frame.visible & (distance > self._settings.gate)
         self._away = np.where(far, self._away + 1, np.where(frame.visible, 0, self._away))
         used = np.asarray(frame.visible & (~far | (self._away >= self._settings.patience)))
@@ -206,7 +217,7 @@ class Smoother:
         if self._turns % _TURNS == 0:
             self._missed = missed_tag(self.keys)
         elif self._turns % 2 and self._chains is not None:
-            if self.misfit == 0.0:
+            if not self.misfit.any():
                 self._chains.step(self.solution.stiffness_form)
         elif self._settings.adapt and self._turns % _TURNS == 2:
             self._spent = self.solution.effective_parameters
@@ -226,7 +237,7 @@ class Smoother:
         keys, settings = self.keys, self._settings
         if self._chains is not None:
             self.hyperparameters = replace(self.hyperparameters, part_variances=self._chains.parts)
-        self.misfit = misfit(keys, self.marker)
+        self.misfit = misfit(keys, self.sizes)
         try:
             self.solution = solution = self._solve()
         except np.linalg.LinAlgError:
@@ -241,22 +252,20 @@ class Smoother:
             marker = tag_noise_size(keys, residual, self._spent, settings.marker_noise)
             noise = replace(self.hyperparameters.noise[0], marker=marker)
             self.hyperparameters = replace(self.hyperparameters, noise=(noise,))
-        marker = max(self.marker, self.misfit)
-        keys.weight[: keys.used] = robust_weights(keys, residual, marker, settings.bulk)
+        keys.weight[: keys.used] = robust_weights(keys, residual, self.noise, settings.bulk)
         fresh = not np.any(keys.stale[: keys.used])
         if fresh and solution.distance(keys.error[: keys.used], self.x - self.point) > _MOVED:
             self.move()
         return True
 
     def _solve(self) -> KeyFramePosterior:
-        """The posterior over the key frames as they are; a misfit beyond the tags' noise counts as noise."""
+        """The posterior over the key frames as they are; a misfit beyond the markers' noise counts as noise."""
         keys, settings, session = self.keys, self._settings, self._session
         spans = spans_of(keys, self.marginalised, self._stages.own)
         expected = replace(self.hyperparameters, coloured=1.0, memory=1.0, walk=1.0, load=1.0, white=1.0)
         error, start = spanned_error(self._expected_error, spans), (self._start.level, self._start.stiffness)
-        p, marker = session.layout.spline.count, max(self.marker, self.misfit)
-        sizes = {"marker": marker, "white": self._process.white}
-        form = information(keys, self.marginalised, p, **sizes, of_tags=session.of_tags)
+        p, white = session.layout.spline.count, self._process.white
+        form = information(keys, self.marginalised, p, sizes=self.noise, white=white, of_tags=session.of_tags)
         spread = np.where(np.array(CHOSEN) == "memory", settings.memory_doubt, np.append(SPREAD, _WHITE_SPREAD))
         model = model_of(form, self.nuisance_sd, problem_of(session, error, start, expected), spread)
         return model.posterior(self.hyperparameters)
@@ -268,7 +277,12 @@ class Smoother:
 
     @property
     def _expected_error(self) -> ForceNoise:
-        return expected_error(self._settings, self._largest, self.misfit > FAR_OFF * self.marker)
+        return expected_error(self._settings, self._largest, self._rough > FAR_OFF)
+
+    @property
+    def _rough(self) -> float:
+        """The misfit over the noise."""
+        return float(np.max(self.misfit / self.sizes))
 
     def catch_up(self) -> None:
         """Solve now if a frame has come since the last time."""
@@ -316,7 +330,7 @@ class Smoother:
     def last_doubts(self) -> tuple[str, ...]:
         """The same, with the missed tag of the last look for one."""
         reasons = {"live: failed": self._failed, "live: too soft": self._too_soft}
-        own = key_frame_doubts(self.keys, self.marker, self.misfit, self._missed)
+        own = key_frame_doubts(self.keys, self._rough, self._missed)
         return (*(say(code) for code, holds in reasons.items() if holds), *own)
 
     def posterior(self) -> tuple[Array, Array, Array]:

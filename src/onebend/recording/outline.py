@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -100,7 +100,8 @@ class FlankFollower:
         last, newest, usual = (body.state, still, still) if self._last is None else self._last
         least = LOST * (float(np.median(self._seen)) if self._seen else 0.0)
         best: tuple[float, Array, Array, Array] | None = None
-        for start in (last + usual, last + newest, last, body.state):
+        moving = [last + usual, last + newest] if np.any(newest) else []
+        for start in (*moving, last, body.state):
             tried = _near(sight, self.place, body, start)
             best = tried if best is None or tried[0] > best[0] else best
             if best[0] > least:
@@ -434,21 +435,29 @@ def with_outline(
     """
     assert markers.view is not None
     base = detections.corners[:, : len(rec.tags.on_base)]
+    each = math.ceil(len(number) / MOST_READ) if rec.tags.on_beam and not apart else 1
+    kept = np.arange(0, len(number), each)
+    of_kept = replace(markers, xy=markers.xy[kept], angle=markers.angle[kept]) if rec.tags.on_beam else None
+
+    def found() -> OutlineTrack:
+        assert markers.view is not None
+        few = outline_track(rec, markers.view, base[kept], number[kept], tags=of_kept, apart=apart, progress=progress)
+        outline = spread_over(few, kept, len(number))
+        hung: BoolArray = ~np.asarray(np.isfinite(detections.corners).any(axis=(1, 2, 3)))
+        return replace(outline, sd=np.where(hung[:, None], np.nan, outline.sd))
+
+    return joined(rec, markers, detections, found)
+
+
+def joined(rec: Recording, markers: Markers, detections: Detections, found: Callable[[], OutlineTrack]) -> Markers:
+    """The `markers` of these detections with the points of the outline that is `found` in the same frames; raises, and
+    leaves it out, as `with_outline`."""
     if rec.tags.on_beam and np.max(np.abs(markers.base_angle)) > TURNED:
         return replace(markers, remarks=(*markers.remarks, left_out("the clamp turns in the picture")))
     try:
-        each = math.ceil(len(number) / MOST_READ) if rec.tags.on_beam and not apart else 1
-        kept = np.arange(0, len(number), each)
-        of_kept = replace(markers, xy=markers.xy[kept], angle=markers.angle[kept]) if rec.tags.on_beam else None
-        outline = outline_track(
-            rec, markers.view, base[kept], number[kept], tags=of_kept, apart=apart, progress=progress
-        )
-        outline = spread_over(outline, kept, len(number))
-        hung: BoolArray = ~np.asarray(np.isfinite(detections.corners).any(axis=(1, 2, 3)))
-        outline = replace(
-            outline, sd=np.where(hung[:, None], np.nan, (APART if rec.tags.on_beam else 1.0) * outline.sd)
-        )
-        both = measure_markers(detections, rec, outline)
+        outline = found()
+        sd = (APART if rec.tags.on_beam else 1.0) * outline.sd
+        both = measure_markers(detections, rec, replace(outline, sd=sd))
         doubt = contradicted(both, rec)
     except ObservationError as wrong:
         if not rec.tags.on_beam:
@@ -560,10 +569,10 @@ SHARED = 2.0  # sds of what both flanks show: light, walls and blur shift both a
 def lasting_sd(apart: Array) -> Array:
     """(n,) m, one sd of points in the middle of two flanks, as if their errors were new in each picture and alike
     nowhere; `apart` (T, n) m: by how much the flanks are farther apart than the body is wide, both errors being
-    independent."""
+    independent. NaN where both are never seen: then the body's width is not known."""
     alike = np.nan_to_num(apart)
     times = correlation_time(alike) * correlation_time(alike.T, longest=2)
-    return np.asarray(0.5 * SHARED * np.sqrt(times) * np.sqrt(np.nan_to_num(nan_mean(apart**2))))
+    return np.asarray(0.5 * SHARED * np.sqrt(times) * np.sqrt(nan_mean(apart**2)))
 
 
 def points_of(

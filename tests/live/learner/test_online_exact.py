@@ -173,9 +173,8 @@ def test_products_of_columns_that_move_one_tag_are_those_of_all_columns(monkeypa
     columns = learner._session.columns
     assert set(of_tags.ravel()) == {i for name in _OF_TAGS for i in range(columns[name].start, columns[name].stop)}
     args = keys, learner._state.marginalised, learner._session.layout.spline.count
-    fast, slow = (
-        information(*args, marker=1.3, white=0.01, of_tags=one) for one in (of_tags, np.zeros((3, 0), dtype=np.int64))
-    )
+    sizes, every = np.full(3, 1.3), (of_tags, np.zeros((3, 0), dtype=np.int64))
+    fast, slow = (information(*args, sizes=sizes, white=0.01, of_tags=one) for one in every)
     np.testing.assert_allclose(fast.matrix, slow.matrix, rtol=1e-12, atol=1e-12 * np.max(np.abs(slow.matrix)))
     np.testing.assert_allclose(fast.vector, slow.vector, rtol=1e-12, atol=1e-12 * np.max(np.abs(slow.vector)))
 
@@ -185,8 +184,8 @@ def solved(session: LiveSession, keys: KeyFrames, marginalised: Marginalised, pr
     spline, noise = session.layout.spline, RecordingNoise(1.3, process.white)
     h = Hyperparameters(spline.variances(2.0, 0.2), 1.0, 1.0, 1.0, 1.0, (noise,))
     problem = problem_of(session, spanned_error(process, spans_of(keys, marginalised)), (0.3, None), h)
-    sizes = {"marker": 1.3, "white": process.white}
-    form = information(keys, marginalised, spline.count, **sizes, of_tags=np.zeros((2, 0), dtype=np.int64))
+    sizes, none = np.full(2, 1.3), np.zeros((2, 0), dtype=np.int64)
+    form = information(keys, marginalised, spline.count, sizes=sizes, white=process.white, of_tags=none)
     return model_of(form, session.other_sd(1.0, 1.0), problem, SPREAD).posterior(h)
 
 
@@ -227,7 +226,12 @@ def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_no
     # Where the force error is one level, a folded frame says what it said.
     level = ForceNoise(level=0.05, walk=0.0, coloured=1e-9, tau=0.3, white=1e-4, load=0.0)
     whole = solved(session, keys, never, level)
-    never.add(likelihood_rows(keys, 0, 1.3, 1e-4), float(keys.end[0]), slow=0.0, fast=fast_variance(level, 0.0, 1.0))
+    never.add(
+        likelihood_rows(keys, 0, np.full(2, 1.3), 1e-4),
+        float(keys.end[0]),
+        slow=0.0,
+        fast=fast_variance(level, 0.0, 1.0),
+    )
     keys.drop(0)
     folded = solved(session, keys, never, level)
     np.testing.assert_allclose(folded.x, whole.x, rtol=1e-5, atol=1e-6)
