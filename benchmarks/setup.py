@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.real_bench import bench_of
-from onebend.beam.setup import Renewed
+from onebend.beam.setup import Renewed, posture_terms
 from onebend.control.reach import reach_in_setup
 from onebend.errors import ControlError, LearningError, MechanicsError, ObservationError
 from onebend.lab.bench import smooth, turned
@@ -121,8 +121,7 @@ class TrueSetUp:
 def posture_of(bench: VirtualBench, tool: Array) -> Array:
     """(5, 2) N of `TrueSetUp.posture`, where the push took the tool to these places (T, 2) [m]."""
     shape = np.asarray(bench.effects.posture_shape).reshape(2, 5).T
-    x, y = ((tool - tool[0]) / bench.beam.length).T
-    terms = np.stack([x, y, x**2, x * y, y**2], axis=-1)
+    terms = posture_terms((tool - tool[0]) / bench.beam.length)
     return shape * bench.effects.posture_bias * bench.push.peak / float(np.max(np.linalg.norm(terms @ shape, axis=1)))
 
 
@@ -142,8 +141,9 @@ def renewed(one: Learned, rng: np.random.Generator) -> TrueSetUp:
     off = off - 2.0 * beyond if beyond > 0.0 else off  # there is no beam
     effects = replace(bench.effects, push_off=float(off), slide=float(slide))
     sensor = replace(bench.sensor, gain=1.0 + float(rng.normal(0.0, GAIN_SD)))
-    size = POSTURE_SD * bench.push.peak
-    posture = size * rng.standard_normal((5, 2)) / np.sqrt(5.0)
+    tool = one.made.pose[:, -1, :2] if one.made.motion is None else one.made.motion.tool
+    largest = float(np.max(np.linalg.norm(posture_terms((tool - tool[0]) / bench.beam.length), axis=1)))
+    posture = POSTURE_SD * bench.push.peak * rng.standard_normal((5, 2)) / max(largest, 1e-9)
     axes = float(rng.normal(0.0, DIRECTION_SD))
     return replace(before, bench=replace(bench, effects=effects, sensor=sensor), posture=posture, axes=axes)
 

@@ -291,7 +291,7 @@ def in_a_setup(uncertain: UncertainStiffness) -> StoredModel:
     slope = np.zeros((4, 5))
     slope[0] = 0.2  # of the section, per coefficient of log k
     setup = SetUp(
-        push_s=1.0, force=(0.0, 0.4), moved=0.05, tags=(0.5, 1.0), thickness=0.012, sizes=sizes,
+        push_s=1.0, force=(0.0, 0.4), tags=(0.5, 1.0), thickness=0.012, sizes=sizes,
         mean=np.array([0.44, 0.1, 0.0, 0.05]), slope=slope, covariance=np.diag([0.0, 0.01**2, 1e-12, 0.01**2]),
         prior_sd=np.array([1.0, 0.05, 0.05, 0.05]), times=(1.0, 3.0, 9.0), reached=(0.5, 0.3, 0.2),
     )  # fmt: skip

@@ -120,7 +120,7 @@ def test_a_search_that_did_not_end_and_a_tag_that_is_elsewhere_are_warned_of() -
     moved = replace(made(), xy=np.add(made().xy, away), rest_xy=np.add(made().rest_xy, away))
     texts = [remark.text for remark in worded(fit_notices(fit([moved], 0.02, settings=FitSettings(functions=24))))]
     said = [re.search(r"tag 2 is ([\d.]+) mm off its stated place, along the beam", text) for text in texts]
-    assert [float(one[1]) for one in said if one] == pytest.approx([4.0], abs=0.8)
+    assert [float(one[1]) for one in said if one] == pytest.approx([4.0], abs=1.2)  # its neighbours may be off, too
 
 
 def shifted(posterior: Posterior, by: float) -> Posterior:

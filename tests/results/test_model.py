@@ -139,7 +139,7 @@ SECTION: dict[str, Any] = {"shape": "circle", "s": [0, 1], "in_plane_m": [1, 1],
     ],
 )  # fmt: skip
 def test_a_section_that_is_none_is_named(tmp_path: Path, change: dict[str, Any]) -> None:
-    made = {"format": "onebend-model", "version": 8, "written_by": "x", "beam": made_up.BEAM.as_dict()}
+    made = {"format": "onebend-model", "version": 9, "written_by": "x", "beam": made_up.BEAM.as_dict()}
     for section in (SECTION, SECTION | change):
         content = with_checksum({**made, "section": section})
         (tmp_path / "model.json").write_text(json.dumps(content), encoding="utf-8")
@@ -196,7 +196,7 @@ UNIFORM = {"kind": "uniform", "value": 0.1}
         ("[" * 100_000, "nested too deeply"),
         ("{}", "not a onebend model"),
         (change(GOOD, format="other"), "not a onebend model"),
-        (change(GOOD, version=9), "version 9, but this onebend reads versions 1, 2, 3, 4, 5, 6, 7 and 8"),
+        (change(GOOD, version=10), "version 10, but this onebend reads versions 1, 2, 3, 4, 5, 6, 7, 8 and 9"),
         (change(GOOD, extra=1), "key 'extra'"),
         (change(GOOD, beam=3), "key 'beam'"),
         (change(GOOD, beam={}), "lack 'length_m'"),
@@ -258,3 +258,10 @@ def test_a_beam_that_goes_with_its_section_comes_back_with_its_modulus(tmp_path:
     (tmp_path / "model.json").write_text(json.dumps(damaged), encoding="utf-8")
     with pytest.raises(ResultsError, match="key 'uncertain' describes no stiffness"):
         read_model(tmp_path)
+
+
+def test_a_set_up_of_before_is_not_read(tmp_path: Path) -> None:
+    """Its force error was one of the tags' displacement."""
+    data = {**GOOD, "version": 8, "setup": {"sizes": {"force error": 4}}}
+    (tmp_path / "model.json").write_text(json.dumps(with_checksum(data)), encoding="utf-8")
+    assert read_model(tmp_path).setup is None

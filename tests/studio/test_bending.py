@@ -127,7 +127,7 @@ def test_a_beam_is_bent_in_the_set_up_that_it_was_learned_in(tmp_path: Path) -> 
     fit = made_up.posterior()
     mean, count = np.array([0.003, 0.05]), len(fit.stiffness.mean)
     sizes, slope = {"length": 1, "direction": 1}, np.zeros((2, count))
-    setup = SetUp(1.0, (0.05, 0.2), 0.05, (0.5, 1.0), 0.01, sizes, mean, slope, 1e-6 * np.eye(2), np.full(2, 0.01))
+    setup = SetUp(1.0, (0.05, 0.2), (0.5, 1.0), 0.01, sizes, mean, slope, 1e-6 * np.eye(2), np.full(2, 0.01))
     save_model(tmp_path / "model.json", fit.beam, written_by="a test", uncertain=fit.stiffness, setup=setup)
     bending, force = Bending.of("beam", tmp_path), np.array([[0.02, 0.18], [0.1, 0.4]])
     goals = setup.bent(fit.beam, fit.stiffness, force).xy(np.ones(1))[:, 0]

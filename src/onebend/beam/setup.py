@@ -5,9 +5,10 @@ the push, of the clamp, of the force's axes, of the length and others cancel. So
 with the coefficients of log k, and predictions take them together. Parts that are new, such as another tool, are drawn
 from their priors instead.
 
-The force on the beam is `R(direction) F + e1 b + e2 b^2`: F is the logged force, b the displacement of the tags over
-the largest one of the recording. It acts at `s_a L + place + slide t`, t being the turn of the beam there. The clamp is
-at `origin` and turned by `clamp + gives t_1`, t_1 being the turn at the first tag.
+The force on the beam is `R(direction) F + e(x, y)`: F is the logged force, e a polynomial of second degree in the
+displacement (x, y) of the pushed place over the length. It acts at `s_a L + place + slide t`, t being the turn of the
+beam there. The clamp is at `origin` and turned by `clamp + gives t_1`, t_1 being the turn at the first tag. A material
+that relaxes has relaxed as far as it had in the recording under the largest force.
 """
 
 from __future__ import annotations
@@ -48,10 +49,12 @@ PARTS: dict[str, tuple[str, tuple[Renewed, ...]]] = {
     "place": ("m", ("contact", "tool")),
     "slide": ("m/rad", ("tool",)),
     "direction": ("rad", ("sensor",)),
-    "force error": ("N", ("contact", "sensor")),  # (4) e1 and e2, x and y in turn
+    "force error": ("N", ("contact", "sensor")),  # (10) of `posture_terms`: those of x, then those of y
     "gain": ("1", ("sensor",)),  # log of the sensor's scale over that of the sensor that taught k(s)
 }
 _BEYOND = 1.5  # times the largest force of the recording: beyond, nothing tells how the beam bends
+_ERRORS = 10  # coefficients of the force error
+_MOST_REACHED = 0.9  # of the stiffness, by what relaxes
 _FAR = 30.0  # sds of a normal density: nothing is farther
 _ELSEWHERE = 1e-3  # of s: a push as far from that of the recording is a new contact
 _PASSES = 4  # of the parts that follow the shape: each pass leaves a few percent of their error
@@ -70,7 +73,6 @@ class SetUp:
 
     push_s: float  # where the tool was stated to act
     force: tuple[float, float]  # N, the largest logged
-    moved: float  # m, the largest displacement of the tags, root mean square
     tags: tuple[float, ...]  # (m,) s, as stated
     thickness: float  # m, to which `section` is relative
     sizes: Mapping[str, int]  # of the parts that are there, in order
@@ -83,6 +85,7 @@ class SetUp:
     angle_discrepancy: float = 0.0  # rad per metre of displacement, likewise of an angle
     times: tuple[float, ...] = ()  # s, of each share that relaxes
     reached: tuple[float, ...] = ()  # part of the curvature that a share of one of each time reaches in the push
+    reached_at_largest: tuple[float, ...] = ()  # the same in the frame of the largest force
 
     def __post_init__(self) -> None:
         n = sum(self.sizes.values())
@@ -165,6 +168,10 @@ class SetUp:
         nodes, weights = plain.grid.nodes, plain.weights
         log_k = coefficients @ known.basis(nodes).T + part("log k", 3) @ Modes(3).curvature(nodes).T
         k = np.exp(log_k + (0.0 if known.offset is None else known.offset(nodes)))
+        if self.reached_at_largest:
+            shares = part("relaxation", len(self.reached))
+            left = 1.0 - np.minimum(shares @ np.array([self.reached_at_largest, self.reached]).T, _MOST_REACHED)
+            k = k * left[:, :1] / left[:, 1:]
         length = beam.length * np.exp(part("length"))
         stretch, shear = RectangularSection(self.thickness).compliance(k, weights, length)
         share = np.maximum(1.0 + part("section"), 0.0) if "section" in self.sizes else np.zeros((1, 1))
@@ -173,19 +180,19 @@ class SetUp:
         base = replace(plain, k=k, length=length, q0=q0, stretch=share * stretch, shear=share * shear)
         beyond, farther = (nodes < push_s).astype(float), share_farther(base, np.full(count, push_s))
         rest = follow(replace(base, alpha0=beam.clamp_angle + part("clamp")))
-        looked_at, tags = np.array([push_s, self.tags[0]]), np.array(self.tags)
-        turn, bend = np.zeros((count, 2)), np.zeros((count, 1))
+        looked_at = np.array([push_s, self.tags[0]])
+        turn, moved = np.zeros((count, 2)), np.zeros((count, 2))
         for _ in range(_PASSES):
             place = part("place") + part("slide") * turn[:, :1]
             alpha0 = part("clamp") + part("clamp gives") * turn[:, 1:]
-            acting = logged + bend * part("force error", 4)[:, :2] + bend**2 * part("force error", 4)[:, 2:]
+            acting = logged + _of_terms(part("force error", _ERRORS), moved)
             dead = plain.dead_force + (beyond + place * farther)[..., None] * acting[:, None, :]
             now = replace(base, alpha0=beam.clamp_angle + alpha0, dead_force=dead)
             solved = follow(now) if near is None else refine(now, near)
             near = solved.q
             turn = solved.angle(looked_at) - rest.angle(looked_at)
-            bend = self.bend(solved.xy(tags), rest.xy(tags))[:, None]
-        return Bent(self, solved, bend[:, 0], acting, x)
+            moved = self.moved(solved, rest)
+        return Bent(self, solved, moved, acting, x)
 
     def ideal(
         self,
@@ -241,7 +248,7 @@ class SetUp:
             off = np.nan_to_num(wanted - solved.xy(places))
             c = c + _least_squares(weights[..., None] * slopes, weights * off, sd, c)
         ideal, (logs, numbers) = of(c), self.draw(known, draws, seed=seed)
-        shown, rows = self.logged(force, there.bend), np.arange(len(force) - len(_TURNS), len(force))
+        shown, rows = self.logged(force, there.moved), np.arange(len(force) - len(_TURNS), len(force))
         at = np.repeat(logs, len(rows), axis=0), np.repeat(numbers, len(rows), axis=0)
         near = np.tile(there.solved.q[rows], (draws, 1))
         drawn = self.bent(beam, known, np.tile(shown[rows], (draws, 1)), at, near=near, gravity=gravity)
@@ -255,14 +262,14 @@ class SetUp:
         mean, covariance = np.array(ideal.stiffness.coefficients), onto @ (spread.T @ spread / draws) @ onto.T
         return ideal, replace(known, mean=mean, covariance=covariance, gain_sd=0.0, shape=None, nominal=None)
 
-    def bend(self, tags: Array, rest: Array) -> Array:
-        """(T,) displacement of the tags (T, m, 2) from `rest` (m, 2) [m], root mean square, over `moved`."""
-        return np.asarray(np.sqrt(np.mean(np.sum((tags - rest) ** 2, axis=-1), axis=-1)) / self.moved)
+    def moved(self, solved: Equilibrium, rest: Equilibrium) -> Array:
+        """(T, 2) displacement of the pushed place from `rest`, over the length."""
+        at = np.array([self.push_s])
+        return np.asarray((solved.xy(at) - rest.xy(at))[:, 0] / np.reshape(solved.problem.length, (-1, 1)))
 
-    def logged(self, force: Array, bend: Array) -> Array:
-        """(T, 2) N that the sensor shows for forces (T, 2) on the beam; `bend` (T,) as there."""
-        error = self._part(self.mean, "force error", 4)
-        on_sensor = force - bend[:, None] * error[:2] - bend[:, None] ** 2 * error[2:]
+    def logged(self, force: Array, moved: Array) -> Array:
+        """(T, 2) N that the sensor shows for forces (T, 2) on the beam; `moved` (T, 2) as there."""
+        on_sensor = force - _of_terms(self._part(self.mean, "force error", _ERRORS), moved)
         turn = np.full(len(force), -self._part(self.mean, "direction", 1)[0])
         return np.asarray(np.exp(self._part(self.mean, "gain", 1)[0]) * _turned(on_sensor, turn))
 
@@ -273,9 +280,8 @@ class SetUp:
 
     def shown(self, unloaded: Problem, solved: Equilibrium, forces: Array) -> Array:
         """(T, a, 2) N that the sensor shows for `forces` (T, a, 2) on the ideal beam, `solved` under them."""
-        tags = np.array(self.tags)
-        bend = self.bend(solved.xy(tags), follow(unloaded).xy(tags)[0])
-        return np.stack([self.logged(one, bend) for one in np.moveaxis(forces, 1, 0)], axis=1)
+        moved = self.moved(solved, follow(unloaded))
+        return np.stack([self.logged(one, moved) for one in np.moveaxis(forces, 1, 0)], axis=1)
 
     def _with_zeros(self, *names: str) -> SetUp:
         mean = self.mean.copy()
@@ -301,7 +307,6 @@ class SetUp:
             found = SetUp(
                 push_s=float(data["push_s"]),
                 force=(float(data["force"][0]), float(data["force"][1])),
-                moved=float(data["moved"]),
                 tags=tuple(map(float, data["tags"])),
                 thickness=float(data["thickness"]),
                 sizes={str(name): int(count) for name, count in data["sizes"].items()},
@@ -314,6 +319,7 @@ class SetUp:
                 angle_discrepancy=float(data.get("angle_discrepancy", 0.0)),
                 times=tuple(map(float, data.get("times", ()))),
                 reached=tuple(map(float, data.get("reached", ()))),
+                reached_at_largest=tuple(map(float, data.get("reached_at_largest", ()))),
             )
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             raise MechanicsError(f"describes no set-up ({error})") from error
@@ -328,7 +334,7 @@ class Bent:
 
     setup: SetUp
     solved: Equilibrium
-    bend: Array  # (T,) see `SetUp.bend`
+    moved: Array  # (T, 2) see `SetUp.moved`
     acting: Array  # (T, 2) N, on the beam
     numbers: Array  # (T, n) of the set-up
 
@@ -349,6 +355,18 @@ class Bent:
         cos, sin = np.cos(angle), np.sin(angle)
         away = np.stack([cos * along - sin * across, sin * along + cos * across], axis=-1)
         return np.concatenate([self.xy(s) + away, (angle + turn)[..., None]], axis=-1)
+
+
+def posture_terms(moved: Array) -> Array:
+    """(..., 5) of displacements (..., 2) over the length: x, y, x^2, x y, y^2."""
+    x, y = moved[..., 0], moved[..., 1]
+    return np.stack([x, y, x**2, x * y, y**2], axis=-1)
+
+
+def _of_terms(error: Array, moved: Array) -> Array:
+    """(T, 2) N of the error's coefficients (10,) or (T, 10) at displacements (T, 2)."""
+    each = error.reshape(*error.shape[:-1], 2, -1)
+    return np.asarray(np.sum(each * posture_terms(moved)[:, None, :], axis=-1))
 
 
 def _root(covariance: Array) -> Array:

@@ -13,6 +13,7 @@ import numpy as np
 from onebend.beam.grid import Grid, Modes, apply
 from onebend.beam.problem import Problem, riding_beyond
 from onebend.beam.sensitivity import of_mass
+from onebend.beam.setup import posture_terms
 from onebend.beam.stiffness import Profile, RectangularSection, Uniform
 from onebend.errors import LearningError
 from onebend.learning.frames import push_places
@@ -101,6 +102,7 @@ class PushCourse:
     back: Array  # (F,) 1 after the largest displacement
     elapsed: Array  # (F,) 0 to 1: integral of `bend` over time so far, over its end
     turn: Array  # (F, m) rad of each tag since rest; 0 where it was not seen
+    moved: Array  # (F, 2) displacement of the beam since rest where it is pushed, over the length
     film: Film | None = None  # None: the frames so far, as they come; `bend` is then over the length
 
     @property
@@ -136,6 +138,7 @@ def course_of(
     back = np.asarray(np.arange(len(time)) > int(np.argmax(bend)), dtype=float)
     turn = np.nan_to_num(angle - np.where(np.isfinite(o.rest_angle), o.rest_angle, 0.0))
     count = len(time) if film is None else len(film.measured)
+    push_s = push_places(o)[frames]
     return PushCourse(
         length=o.length,
         marker_s=o.marker_s,
@@ -148,13 +151,24 @@ def course_of(
         time=time,
         force=with_rest(force, count),
         largest=(float(np.max(np.linalg.norm(force, axis=1), initial=0.0)), largest),
-        push_s=with_rest(push_places(o)[frames], count),
+        push_s=with_rest(push_s, count),
         bend=with_rest(bend, count),
         back=with_rest(back, count),
         elapsed=with_rest(elapsed, count),
         turn=with_rest(turn, count),
+        moved=with_rest(_at_places(push_s, o.marker_s, xy - rest) / o.length, count),
         film=film,
     )
+
+
+def _at_places(places: Array, marker_s: Array, moved: Array) -> Array:
+    """(T, 2) at places (T,), between the clamp and markers that moved by (T, m, 2), where they were seen."""
+    out = np.zeros((len(places), 2))
+    for at, s, one in zip(out, places, moved, strict=True):
+        seen = np.isfinite(one).all(axis=1)
+        known = np.append(0.0, marker_s[seen])
+        at[:] = [np.interp(s, known, np.append(0.0, column)) for column in one[seen].T]
+    return out
 
 
 def with_rest(values: Array, count: int) -> Array:
@@ -401,7 +415,7 @@ def between_recordings(nodes: Array) -> Allowance:
 PATCH_SD = 0.4  # of the log of the factor on k under a tag: paper to stiff plastic
 SHARES = np.array([0.25, 0.5, 0.25])  # of the widths below
 WIDTHS = np.array([1.05, 1.25, 1.6])  # of a patch over the tag's black square: a printed tag has a rim of one cell
-_GLUED = tuple(np.geomspace(0.01, 2.0, 17).tolist())  # `Allowance.sizes` of what is glued on: more than nothing
+_GLUED = (0.01, 0.1, 1.0, 2.0)  # `Allowance.sizes` of what is glued on: half of the tags hardly stiffen
 USUAL_SIZE = 0.08  # of the length: a tag's black square where nobody says its size
 _USUAL_WIDTHS = np.array([0.8, 1.25, 1.9])  # over `USUAL_SIZE`
 _SOFT = 0.04  # of half a width: its edge in s
@@ -549,28 +563,28 @@ def _view(observations: Observations) -> View:
     return observations.source.view
 
 
-POSTURE_SD = 0.01  # of the largest force, for each term and axis; the linear term is a gain: no evidence tells its size
-DEGREE = 2  # of the polynomial in the tool's displacement
+POSTURE_SD = 0.02  # of the largest force, each axis at the largest displacement; of the linear part no size is told
 
 
 def posture_bias(course: PushCourse) -> Allowance | None:
-    """A polynomial of second degree in the displacement, zero at rest, for each axis of the force [N]."""
+    """A polynomial of second degree in the displacement of the pushed place, zero at rest, for each axis of the force
+    [N]; of frames as they come one in the displacement of the tags."""
     if not course.pushed:
         return None
-    labels = tuple(f"posture bias {axis}{i}" for axis in "xy" for i in range(1, DEGREE + 1))
-    sd, basis = np.full(2 * DEGREE, POSTURE_SD * course.largest[0]), on_each_axis(powers(course.bend))
-    of_bend = np.tile(np.arange(1.0, DEGREE + 1.0), 2)
-    return Allowance("posture", "force", "N", labels, sd, basis, sizes=RARE, powers=of_bend, of_force=True)
-
-
-def powers(bend: Array) -> Array:
-    """(F, 2) of displacements (F,)."""
-    return np.stack([bend**i for i in range(1, DEGREE + 1)], axis=1)
-
-
-def on_each_axis(terms: Array) -> Array:
-    """(F, 2, 4): these terms (F, 2) for each axis of the force."""
-    return np.asarray(np.einsum("fi,cd->fcdi", terms, np.eye(2)).reshape(len(terms), 2, 2 * DEGREE))
+    bend = course.bend
+    live = course.film is None
+    terms = np.stack([bend, bend**2], axis=1) if live else posture_terms(course.moved)
+    n = terms.shape[1]
+    labels = tuple(f"posture bias {axis}{i}" for axis in "xy" for i in range(1, n + 1))
+    largest = np.sqrt(n) if live else max(float(np.max(np.linalg.norm(terms, axis=1))), _SMALL)
+    sd = np.full(2 * n, POSTURE_SD * course.largest[0] / largest)
+    basis = np.zeros((len(terms), 2, 2, n))
+    basis[:, [0, 1], [0, 1]] = terms[:, None, :]
+    powers = np.tile([1.0, 2.0], 2) if live else _nothing()
+    basis = basis.reshape(len(terms), 2, 2 * n)
+    return Allowance(
+        "posture", "force", "N", labels, sd, basis, sizes=RARE, together=not live, powers=powers, of_force=True
+    )
 
 
 # The material relaxes (generalised Maxwell solid): `M = k_i (q - sum a_j v_j)` with `tau_j v_j' = q - v_j`, fixed times

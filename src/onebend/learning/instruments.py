@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from onebend.beam.setup import PARTS, SetUp
+from onebend.beam.setup import PARTS, SetUp, posture_terms
 from onebend.errors import LearningError
 from onebend.learning.allowances import (
     BETWEEN,
     BETWEEN_SD,
-    POSTURE_SD,
     TIMES,
     USUAL_THICKNESS,
     course_of,
-    powers,
 )
 from onebend.learning.fit_data import FitData
 from onebend.learning.force_error import expected_noise, filtered
@@ -304,10 +302,9 @@ def setup_of(posterior: Posterior) -> SetUp | None:
         block = next((at.index[key] for key in keys if key in at.index and at.index[key].start >= 0), None)
         if block is not None:
             add(name, block.where, np.eye(len(block.prior_sd)), block.prior_sd)
-    where, weights = _force_error_rows(posterior, number, powers(run.bend))
     largest = int(np.nanargmax(np.linalg.norm(data.force, axis=1)))
-    size = float(np.linalg.norm(data.force[largest]))
-    add("force error", where, weights, np.full(len(weights), POSTURE_SD * size))
+    if recurring := _force_error_rows(posterior, number, posture_terms(run.moved)):
+        add("force error", *recurring)
     joint, p = posterior.covariance.of_functionals(rows), len(stiffness.mean)
     slope = joint[p:, :p] @ np.linalg.pinv(joint[:p, :p], rcond=_KEPT, hermitian=True)
     covariance = joint[p:, p:] - slope @ joint[:p, p:]
@@ -324,7 +321,6 @@ def setup_of(posterior: Posterior) -> SetUp | None:
     return SetUp(
         push_s=float(data.push_s[largest]),
         force=(float(data.force[largest, 0]), float(data.force[largest, 1])),
-        moved=run.largest[1],
         tags=tuple(float(s) for s in o.marker_s),
         thickness=stated if np.isfinite(stated) else USUAL_THICKNESS * o.length,
         sizes=sizes,
@@ -336,7 +332,8 @@ def setup_of(posterior: Posterior) -> SetUp | None:
         discrepancy=left_over[0],
         angle_discrepancy=left_over[1],
         times=tuple(TIMES.tolist()) if "relaxation" in sizes else (),
-        reached=posterior.optimum.predictions[number].reached,
+        reached=posterior.optimum.predictions[number].reached(),
+        reached_at_largest=posterior.optimum.predictions[number].reached(largest),
     )
 
 
@@ -348,20 +345,29 @@ def _coefficient_rows(posterior: Posterior) -> tuple[slice, Array]:
     return slice(0, posterior.layout.shared), weights
 
 
-def _force_error_rows(posterior: Posterior, number: int, terms: Array) -> tuple[slice, Array]:
-    """The error of the force that recurs in each push, as a polynomial in the displacement: `terms` (T, 2) of the
-    frames. It depends on the posture. Slow errors of one log do not recur.
+def _force_error_rows(posterior: Posterior, number: int, terms: Array) -> tuple[slice, Array, Array] | None:
+    """The error of the force that recurs in each push: that of the posture, and others by the polynomial nearest to
+    them, in the displacement of the pushed place: `terms` (F, 5). Slow errors of one log do not recur.
 
-    Returns where the parameters stand, and the polynomial's coefficients as functions of them.
+    Returns where the parameters stand, the polynomial's coefficients (10,) as functions of them, and the sds of these
+    coefficients before the data; None where no such error was allowed for.
     """
     data, at = posterior.recordings[number], posterior.layout
     again = [a for a in data.entering("force") if at.index[a.name, number].start >= 0]
+    prior_sd = next((a.prior_sd for a in again if a.name == "posture"), None)
+    if prior_sd is None:
+        return None
     blocks = [at.index[a.name, number] for a in again]
-    where = slice(min((b.where.start for b in blocks), default=0), max((b.where.stop for b in blocks), default=0))
-    by_parameters = np.zeros((len(terms), 2, where.stop - where.start))
+    first, last = min(b.where.start for b in blocks), max(b.where.stop for b in blocks)
+    weights = np.zeros((len(prior_sd), last - first))
     for allowance, block in zip(again, blocks, strict=True):
-        by_parameters[..., block.start - where.start :][..., : block.count] = allowance.basis[: len(terms)]
-    return where, np.einsum("it,tcp->icp", np.linalg.pinv(terms), by_parameters).reshape(4, -1)
+        if allowance.name == "posture":
+            mine = np.eye(block.count)
+        else:
+            nearest = np.einsum("if,fcp->cip", np.linalg.pinv(terms), allowance.basis[: len(terms)])
+            mine = nearest.reshape(len(weights), -1)
+        weights[:, block.start - first :][:, : block.count] = mine
+    return slice(first, last), weights, prior_sd
 
 
 def _slow_error(posterior: Posterior, number: int) -> float:

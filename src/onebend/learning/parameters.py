@@ -320,6 +320,7 @@ _BEYOND_SD = 0.005  # of the length: its error, by which a push at the tip may s
 _EVEN = 0.01  # of k: what is left of its variation, from coefficient to coefficient, where its shape is stated
 _EXACT = 1e-6  # of the mass, where it is said to be exact
 _STATED = 1e-4  # of the mass: sd of its uneven parts where its spread is stated
+_BY_HAND = (0.5, 1.0, 2.0)  # `sizes` of the tags' places over what is stated
 _PLACEMENT_SD = 5e-4  # m, of the tags' places and the clamp's, where nobody states it
 _MASS_SD = 0.02  # of the beam's mass as weighed; where gravity acts in the plane
 MASS_SPREAD, _MASS_LINE = 0.3, 0.05  # of the same: Legendre parts of an uneven mass per metre, and where it is written
@@ -467,8 +468,9 @@ class StatedError:
         labels = tuple(label.format(tag=tag) for tag in places for label in self.labels)
         sds = np.full(len(labels), sd, dtype=float)
         own = Allowance(self.name, "bench", self.unit, labels, sds, shared=self.shared)
-        by_hand = self.cause in (_TAGS, _CLAMP)  # made anew on every bench, and as far off as is stated
-        return own if by_hand else replace(own, sizes=TOLERATED, together=True)
+        if self.cause in (_TAGS, _CLAMP):  # made anew on every bench
+            return replace(own, sizes=_BY_HAND, together=True) if self.field == "placement_sd" and self.of_tags else own
+        return replace(own, sizes=TOLERATED, together=True)
 
 
 def clamp_sd(one: Observations) -> float:

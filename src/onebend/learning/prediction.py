@@ -543,14 +543,15 @@ class Prediction(State):
         """(F, Q) rad of the curvature over that at rest of a beam that has not relaxed."""
         return self.solved.q - self.rest
 
-    @property
-    def reached(self) -> tuple[float, ...]:
-        """The part of the bending that a relaxing share of one reaches over the push, for each time; () without any."""
+    def reached(self, frame: int | None = None) -> tuple[float, ...]:
+        """The part of the bending that a relaxing share of one reaches over the push, or in one frame, for each time;
+        () without any."""
         if self.relaxation is None:
             return ()
         _, time = self.relaxation
         bent, weights = self.bending[: len(time)], self.solved.problem.weights
-        return tuple(reached_part(lag @ bent, bent, weights) for lag in lags(time))
+        of = slice(None) if frame is None else slice(frame, frame + 1)
+        return tuple(reached_part((lag @ bent)[of], bent[of], weights) for lag in lags(time))
 
     @property
     def load(self) -> Array:

@@ -248,10 +248,12 @@ def _one_push(o: Observations) -> bool:
 
 
 def _as_pushed(setup: SetUp, o: Observations) -> SetUp:
-    """The set-up under the push of this film, which is a new contact with the place as it is stated here."""
+    """The set-up under the push of this film, which is a new contact with the place as it is stated here. Over all of a
+    push the material has relaxed as k(s) says."""
     sd = setup.prior_sd.copy()
     sd[setup.columns.get("place", slice(0))] = max(o.stated.place_sd, _SAME_PLACE * o.length)
-    return replace(setup, prior_sd=sd).renewed(["contact"], push_s=float(np.nanmedian(push_places(o))), length=o.length)
+    setup = replace(setup, prior_sd=sd, reached_at_largest=())
+    return setup.renewed(["contact"], push_s=float(np.nanmedian(push_places(o))), length=o.length)
 
 
 def _notices(stable: BoolArray, converged: BoolArray) -> tuple[Notice, ...]:

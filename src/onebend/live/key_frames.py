@@ -48,6 +48,7 @@ def course_of_frame(
         back=rest,
         elapsed=rest,
         turn=np.zeros((1, m)),
+        moved=np.zeros((1, 2)),
     )
 
 

@@ -255,8 +255,8 @@ class Bending:
         """(2,) N, as the sensor of the set-up shows the force."""
         if self.setup is None:
             return state.load[:2]
-        tags, rest = (np.array([self._at(q, s) for s in self.setup.tags]) for q in (state.q, self.pushed.start.q))
-        shown = self.setup.logged(state.load[None, :2], self.setup.bend(tags[None], rest))
+        here, rest = (self._at(q, self.push_s) for q in (state.q, self.pushed.start.q))
+        shown = self.setup.logged(state.load[None, :2], (here - rest)[None] / float(self.pushed.problem.length))
         return np.asarray(shown[0])
 
     def _line(self, q: Array) -> Array:

@@ -66,15 +66,25 @@ def test_the_clamp_turns_with_the_tag_next_to_it() -> None:
     assert one.basis[20, 0] == 0.0
 
 
-def test_a_posture_bias_is_quadratic_in_the_displacement_and_nothing_at_rest() -> None:
+def test_a_posture_bias_is_a_polynomial_in_the_place_of_the_push_and_nothing_at_rest() -> None:
     one, force = of(posture_bias)(RUN), forces(20)
-    values = np.array([1.0, -2.0, 3.0, 0.5])  # x, x2, y, y2 in the order of the labels
-    assert one.labels == ("posture bias x1", "posture bias x2", "posture bias y1", "posture bias y2")
-    bend = RUN.bend
-    np.testing.assert_allclose((one.basis @ values)[:, 0], bend - 2.0 * bend**2, atol=1e-12)
-    np.testing.assert_allclose((one.basis @ values)[:, 1], 3.0 * bend + 0.5 * bend**2, atol=1e-12)
+    values = np.arange(1.0, 11.0)  # x, y, x^2, x y, y^2 of the force along x, then along y
+    assert one.labels == tuple(f"posture bias {axis}{i}" for axis in "xy" for i in range(1, 6))
+    here = (PUSH_S - TAGS[1]) / (TAGS[2] - TAGS[1])
+    moved = (MADE.xy - MADE.rest_xy) / MADE.length
+    x, y = ((1.0 - here) * moved[:, 1] + here * moved[:, 2]).T
+    terms = np.stack([x, y, x * x, x * y, y * y], axis=1)
+    np.testing.assert_allclose((one.basis @ values)[:20], terms @ values.reshape(2, 5).T, atol=1e-12)
     assert np.all(one.basis[20] == 0.0)
-    np.testing.assert_allclose(one.prior_sd, POSTURE_SD * np.max(np.linalg.norm(force, axis=1)))
+    at_largest = np.sqrt(np.sum((terms * one.prior_sd[:5]) ** 2, axis=1))
+    assert np.max(at_largest) < POSTURE_SD * np.max(np.linalg.norm(force, axis=1)) * (1.0 + 1e-9)
+
+
+def test_a_posture_bias_of_frames_as_they_come_is_quadratic_in_the_displacement() -> None:
+    one = of(posture_bias)(replace(RUN, film=None))
+    bend = RUN.bend
+    np.testing.assert_allclose((one.basis @ [1.0, -2.0, 3.0, 0.5])[:, 0], bend - 2.0 * bend**2, atol=1e-12)
+    np.testing.assert_allclose((one.basis @ [1.0, -2.0, 3.0, 0.5])[:, 1], 3.0 * bend + 0.5 * bend**2, atol=1e-12)
 
 
 def test_each_discrepancy_moves_one_coordinate_of_one_tag_smoothly() -> None:

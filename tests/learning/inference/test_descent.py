@@ -70,7 +70,7 @@ def test_the_slope_is_that_of_the_cost() -> None:
 
 def test_a_trial_is_brought_back_to_its_valley(monkeypatch: pytest.MonkeyPatch) -> None:
     """Exact tags: a straight step along the valley that they leave misses them by many sd."""
-    problem, hyperparameters, estimate = far_off(0.0005, 0.02)
+    problem, hyperparameters, estimate = far_off(0.0005, 0.01)
     for _ in range(2):  # into the valley
         here = linearised(problem, hyperparameters, estimate)
         estimate, _ = _trial(here, 1.0, here.cost(estimate))
@@ -79,7 +79,8 @@ def test_a_trial_is_brought_back_to_its_valley(monkeypatch: pytest.MonkeyPatch) 
     _, corrected = _trial(here, 1.0, cost)
     monkeypatch.setattr(descent, "_CORRECTIONS", 0)
     _, straight = _trial(here, 1.0, cost)
-    assert corrected < 0.1 * straight < cost
+    assert straight > cost
+    assert corrected < 0.1 * cost
 
 
 def test_many_recordings_keep_derivatives_on_the_way_and_end_with_their_own(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -85,7 +85,7 @@ def in_setup(**parts: tuple[float, float]) -> SetUp:
     sizes = {name.replace("_", " "): 1 for name in parts}
     force, places = forces(COUNT)[-1].tolist(), tuple(seen().marker_s.tolist())
     slope = np.zeros((len(mean), len(MEAN)))
-    return SetUp(AT, (force[0], force[1]), 0.05, places, 1e-9, sizes, mean, slope, np.diag(sd**2), np.maximum(sd, 1e-9))
+    return SetUp(AT, (force[0], force[1]), places, 1e-9, sizes, mean, slope, np.diag(sd**2), np.maximum(sd, 1e-9))
 
 
 def test_another_push_is_validated_in_the_set_up_that_was_learned() -> None:

@@ -137,7 +137,7 @@ def test_learned_tags_are_taken_over_unless_they_were_put_on_anew() -> None:
     o, mean = observed(beam, few(), noise=(3e-5, 1e-3)), np.array([0.1, 1e-3, *np.zeros(7), 0.02, 0.004])
     slope, covariance = np.zeros((11, 2)), 1e-10 * np.eye(11)
     places = tuple(o.marker_s.tolist())
-    known = SetUp(1.0, (0.0, 1.0), 0.05, places, 0.01, sizes, mean, slope, covariance, np.ones(11))
+    known = SetUp(1.0, (0.0, 1.0), places, 0.01, sizes, mean, slope, covariance, np.ones(11))
     bench = bench_at(SOFT, o, stiffness, known, tags_as_learned=True, place_sd=0.0)
     np.testing.assert_allclose(bench.mean[bench.columns["along"]], mean[1:4])
     np.testing.assert_allclose(bench.mean[bench.columns["turn"]], mean[7:10])

@@ -16,6 +16,7 @@ from onebend.learning.allowances import (
     LIVE_ALLOWANCES,
     OF_ONE,
     PATCH_SD,
+    POSTURE_SD,
     allowances_of,
     lags,
     reached_part,
@@ -96,8 +97,11 @@ def test_priors_are_those_of_the_fit_and_follow_the_largest_force_and_displaceme
             whole = fits[one.name].prior_sd[:5] * np.array([1.0, 1.0, 0.5, 0.5, 1.0])
             assert np.linalg.norm(of_tag) == pytest.approx(np.linalg.norm(whole))
             continue
-        powers = np.array([1.0, 2.0, 1.0, 2.0]) if one.name == "posture" else np.zeros(one.count)
-        np.testing.assert_allclose(one.prior_sd * scale, fits[one.name].prior_sd / bend**powers)
+        if one.name == "posture":  # likewise, on each axis
+            of_axis = one.prior_sd[:2] * scale[:2] * np.array([bend, bend**2])
+            assert np.linalg.norm(of_axis) == pytest.approx(POSTURE_SD * largest)
+            continue
+        np.testing.assert_allclose(one.prior_sd * scale, fits[one.name].prior_sd)
         assert (one.labels, one.unit, one.enters) == (fits[one.name].labels, fits[one.name].unit, fits[one.name].enters)
 
 

@@ -25,8 +25,8 @@ SPLINE, MASS, PUSH_S = Spline(7), 0.02, 0.8
 TAGS = np.array([0.3, 0.6, 0.9])  # none at the tip, where a tag that moves outwards leaves the curved beam
 STATED = {"curvature_sd": 0.1, "turn_sd": 0.02, "placement_sd": 5e-4, "clamp_sd": 0.01, "scale_sd": 0.01}  # no zeros
 FREE = {"scale": 0.01, "clock": 0.02, "place": 1e-3, "direction": 0.01}
-# What both have, in the same functions; the discrepancy has others, and moves the tags just as they say.
-ALLOWED = ("section", "relaxation", "slide", "clamp gives", "posture", "patches", "length")
+# What both have, in the same functions; discrepancy and posture have others, and enter just as they say.
+ALLOWED = ("section", "relaxation", "slide", "clamp gives", "patches", "length")
 BLOCKS = (
     "stiffness",
     "curvature",
