@@ -19,7 +19,16 @@ from onebend.learning.design import Quality
 from onebend.learning.frequencies import ComparedFrequency, Posture
 from onebend.learning.outcome import Comparison, Notice, another_beam, poor_fit
 from onebend.learning.run import Run
-from onebend.records import Array, CleanForce, ClockOffset, Observations, Remark, StatedSection, marker_words
+from onebend.records import (
+    Array,
+    CleanForce,
+    ClockOffset,
+    Observations,
+    Remark,
+    StatedSection,
+    marker_words,
+    read_before_fit,
+)
 
 
 def name_of(findings: Run) -> str:
@@ -186,7 +195,8 @@ def inputs(observations: Observations) -> list[tuple[str, str]]:
     if kind_of(observations) == "frequencies":
         return [*rows, ("natural frequencies", str(len(observations.frequencies)))]
     found = 100.0 * np.isfinite(observations.xy[..., 0]).mean(axis=0)
-    tags = ", ".join(f"tag {tag} {found[i]:.1f} %" for i, tag in enumerate(observations.tag_id))
+    names = {i: marker_words(int(observations.tag_id[i]), float(observations.marker_s[i])) for i in range(len(found))}
+    tags = ", ".join(f"{names[i]} {found[i]:.1f} %" for i in read_before_fit(observations).tolist())
     words = words_of(observations)
     return [*rows, (f"{words.frames} in which a tag was found", tags)]
 

@@ -13,7 +13,7 @@ import pytest
 from onebend.learning.fit_data import FitData
 from onebend.learning.outcome import another_beam, poor_fit
 from onebend.learning.verdict import fitted_rms
-from onebend.records import ClockOffset, Remark
+from onebend.records import POINT_ID, ClockOffset, Remark
 from onebend.report.confidence import alarm_words, allowance_rows, stiffness_range, tradeoff_words, unidentified_words
 from onebend.report.figures import draw_all, fit
 from onebend.report.page import cards, code_in, page
@@ -124,6 +124,21 @@ def test_names_from_files_cannot_become_markup() -> None:
     assert html.count("<script") == clean.count("<script") == 2  # the page's own, and its numbers
     assert evil not in html
     assert "&lt;script&gt;" in html
+
+
+def test_points_of_an_outline_are_no_rows_of_tags() -> None:
+    """They stand before the tags, in the order of their places."""
+    found = made_up.findings(1)
+    one = found.recordings[0]
+    first = np.concatenate([[0], np.arange(len(one.tag_id))])
+    names = ("tag_id", "marker_s", "rest_xy", "rest_angle", "rest_covariance")
+    doubled = {name: getattr(one, name)[first] for name in names}
+    doubled |= {name: getattr(one, name)[:, first] for name in ("xy", "angle", "covariance")}
+    doubled["tag_id"] = np.concatenate([[POINT_ID + 50], one.tag_id])
+    outlined = replace(one, traced=np.arange(len(first)) == 0, **doubled)
+    text = Links(page(replace(found, recordings=(outlined,)), {}, version="0")).text
+    assert str(POINT_ID + 50) not in text
+    assert all(f"tag {i}" in text for i in one.tag_id)
 
 
 @pytest.mark.parametrize("fitted", [True, False])
