@@ -211,8 +211,8 @@ def main() -> None:
             else:
                 goals += found
     levels = " / ".join(f"{100 * level:.0f}" for level in LEVELS)
-    heads = ("effects", "benches", "goals", "tip off, median [mm]", "90 % [mm]")
-    heads += ("the same without new noise of the log [mm]", f"inside the {levels} % ellipse [%]")
+    heads = ["effects", "benches", "goals", "tip off, median [mm]", "90 % [mm]"]
+    heads += ["the same without new noise of the log [mm]", f"inside the {levels} % ellipse [%]"]
     print(f"| {' | '.join(heads)} | larger semi-axis, 95 % [mm] |")
     print("| --- " * 8 + "|")
     for cell in asked.cells:
