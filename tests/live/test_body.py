@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from onebend.live.body import NOT_SEEN, BodyFrame, BodyTracker
+from onebend.live.body import NOT_SEEN, BodyFrame, BodyTracker, curve_in
 from onebend.live.guidance import CaptureSettings, Stages
 from onebend.live.live import Live, LiveSettings
 from onebend.live.review import observed_in
-from onebend.recording.camera import to_plane
+from onebend.recording.camera import project, to_plane
 from onebend.recording.entries import Recording
 from onebend.recording.video import FilmFrame, Picture
 from onebend.records import Array
@@ -123,6 +123,18 @@ def test_what_is_reviewed_is_what_a_film_of_it_shows() -> None:
     across = np.sum((seen.xy - true) * normal, axis=-1)
     moved = across - np.nanmean(across[seen.time - OFFSET < 1.0], axis=0)
     assert np.nanmedian(np.abs(moved)) < 0.1e-3
+
+
+def test_the_followed_outline_is_drawn_along_the_middle_of_the_body() -> None:
+    tracker = BodyTracker(bare())
+    assert len(curve_in(tracker.step(painted(None, 1), 0.0))) == 0
+    tracker = BodyTracker(bare())
+    for one in frames()[:40]:
+        drawn = curve_in(tracker.step(one.luma, one.time))
+    line = BEAM.equilibrium(force_at(np.array([frames()[39].time]))).xy(np.linspace(0.0, 1.0, 400))[0]
+    seen = np.isfinite(drawn).all(axis=1) & (np.arange(len(drawn)) < len(drawn) - 1)  # the tip is round
+    assert 0.7 < np.mean(seen) < 1.0  # not beneath the tag at the clamp
+    assert np.max(cKDTree(project(view(), line)).query(drawn[seen])[0]) < 1.0  # px
 
 
 def test_places_tell_how_far_the_body_moved() -> None:

@@ -238,6 +238,14 @@ def test_a_large_picture_is_made_small() -> None:
     assert state_data(CaptureState("exposure"))["size_px"] is None
 
 
+def test_where_an_outline_is_not_seen_nothing_is_told() -> None:
+    state, memory = CaptureState("push", outline=np.array([[1.04, 2.0], [np.nan, np.nan]])), io.StringIO()
+    talk = Talk(memory, capture_line)
+    talk.watch(state)
+    talk.end()
+    assert lines_of(memory)[-1]["state"]["outline_px"] == [[1.0, 2.0], [None, None]]
+
+
 def told() -> tuple[RecorderProcess, list[tuple[dict[str, Any], bool]]]:
     messages: list[tuple[dict[str, Any], bool]] = []
     return RecorderProcess(lambda message, passing: messages.append((message, passing))), messages

@@ -5,7 +5,7 @@ import { Canvas, Colours, label, Point, trace } from "./draw.js";
 
 interface Tag { id: number; side_px: number | null; corners_px: Point[] | null }
 interface State {
-  stages: string[]; stage: number; advice: string[]; size_px: [number, number] | null; tags: Tag[]; tag_s: number[]; force_N: (number | null)[]; tare_N: (number | null)[];
+  stages: string[]; stage: number; advice: string[]; size_px: [number, number] | null; tags: Tag[]; outline_px: [number | null, number | null][]; tag_s: number[]; force_N: (number | null)[]; tare_N: (number | null)[];
   displacement: number | null; largest: number | null; half_width: number | null; wider: string; until: number | null; k_says: string; seconds: number; frames: number; drops: number;
   samples: number; lost_samples: number; clock_sd_s: number | null; bytes: number; disk_left: number | null;
 }
@@ -27,14 +27,14 @@ export class Live {
   readonly curve = new CurveView();
   private readonly said = h("p", { class: "heard", role: "status" });
   private readonly lines = h("ul");
-  private readonly node = h("canvas", { role: "img", "aria-label": "the camera's picture with the tags that were found" });
+  private readonly node = h("canvas", { role: "img", "aria-label": "the camera's picture with the tags and the outline that were found" });
   private readonly canvas: Canvas;
   private readonly big = h("p", { class: "big" });
   private readonly rows: Record<string, HTMLElement> = {};
   private readonly bar = h("i");
   private readonly kWords = h("p", { class: "quiet" });
   private image: HTMLImageElement | null = null;
-  private shown: { size: [number, number]; tags: Tag[] } | null = null;
+  private shown: { size: [number, number]; tags: Tag[]; outline: State["outline_px"] } | null = null;
   private number = 0;  // of the picture that is shown, or is being fetched
   private fetching = false;
   private newest: Recording | null = null;
@@ -122,7 +122,7 @@ export class Live {
   private fetchPicture(): void {
     const now = this.newest;
     if (!now?.picture || now.picture === this.number || this.fetching) return;
-    const image = new Image(), { size_px: size, tags } = now.state as State;
+    const image = new Image(), { size_px: size, tags, outline_px: outline } = now.state as State;
     this.number = now.picture;
     this.fetching = true;
     const over = (): void => {
@@ -131,7 +131,7 @@ export class Live {
     };
     image.addEventListener("load", () => {
       this.image = image;
-      this.shown = { size: size!, tags };
+      this.shown = { size: size!, tags, outline };
       this.node.style.aspectRatio = `${size![0]} / ${size![1]}`;
       this.canvas.redraw();
       over();
@@ -142,10 +142,18 @@ export class Live {
 
   private readonly paint = ({ context, width }: Canvas, tint: Colours): void => {
     if (!this.image || !this.shown) return;
-    const { size: [wide, high], tags } = this.shown, scale = width / wide;
+    const { size: [wide, high], tags, outline } = this.shown, scale = width / wide;
     context.drawImage(this.image, 0, 0, width, scale * high);
     context.font = "600 12px system-ui, sans-serif";
     context.textAlign = "center";
+    for (const [line, ink] of [[4, "#fff"], [2, "#2fb98c"]] as const) {
+      context.lineWidth = line;
+      context.strokeStyle = ink;
+      for (const seen of stretches(outline)) {
+        trace(context, seen.map(([x, y]): Point => [scale * (x + 0.5), scale * (y + 0.5)]));
+        context.stroke();
+      }
+    }
     for (const { id, side_px, corners_px } of tags) {
       if (!corners_px) continue;
       const points = corners_px.map(([x, y]): Point => [scale * (x + 0.5), scale * (y + 0.5)]), colour = (side_px ?? 0) < SMALL ? "#e07b28" : "#2fb98c";
@@ -159,6 +167,16 @@ export class Live {
     }
     this.node.style.borderColor = tint.line;
   };
+}
+
+/** The parts of an outline that were seen. */
+function stretches(outline: State["outline_px"]): Point[][] {
+  const parts: Point[][] = [[]];
+  for (const [x, y] of outline) {
+    if (x === null || y === null) parts.push([]);
+    else parts[parts.length - 1]!.push([x, y]);
+  }
+  return parts.filter((part) => part.length > 1);
 }
 
 function tagWords(tags: Tag[]): string {

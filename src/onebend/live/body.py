@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from onebend.errors import ObservationError
-from onebend.recording.camera import Poses, drop, measure_markers, points_in_plane
+from onebend.recording.camera import Poses, drop, measure_markers, points_in_plane, project
 from onebend.recording.entries import Recording
-from onebend.recording.flanks import MEASURED, BodyPlace, Planes, Sight, planes_of
+from onebend.recording.flanks import MEASURED, SIDES, BodyPlace, Planes, Sight, planes_of
 from onebend.recording.outline import (
     PLACES,
     FlankFollower,
@@ -30,6 +30,7 @@ from onebend.records import Array, BoolArray, Detections, IntArray, OutlineTrack
 GIVEN_UP = 60  # pictures in a row without the outline: beside tags it is followed no more. One in which it was looked
 # for in vain takes as long as many
 AGAIN = 0.5  # s after which a body that was not found is looked for again
+DRAWN = 60  # points of a followed outline, about
 SHOWN = (1.0 / 3.0, 2.0 / 3.0, 1.0)  # s of the points that say how far the body moved
 NOT_SEEN = "the outline of the body is not seen"
 
@@ -42,12 +43,21 @@ class OutlineSighting:
     away: Array  # (2, M) m; NaN where the body was lost
     shift: Array  # (2,) px, of the picture against the one in which the body was found
 
+    def drawn(self, follower: FlankFollower) -> Array:
+        """(c, 2) px along the middle between the flanks, NaN where they were not seen."""
+        assert follower.body is not None
+        place, every = follower.place, max(1, follower.place.stations.count // DRAWN)
+        curve = place.stations.curve(self.state)
+        middle = nan_mean(self.away - SIDES[:, None] * follower.body.half)
+        return (project(place.view, curve.xy + middle[:, None] * curve.normal) + self.shift)[::every]
+
 
 @dataclass(frozen=True)
 class BodyFrame(TrackedFrame):
     """The tags of the base and the outline in one picture."""
 
     outline: OutlineSighting | None = None  # None: it was not found yet
+    curve: Array | None = None  # (c, 2) px, as of `OutlineSighting.drawn`
     places: Array | None = None  # (3, 2) of `SHOWN`, over the length of a body without tags; NaN where it was lost
 
 
@@ -74,13 +84,15 @@ class BodyTracker:
             Planes(picture, np.full((2, 2, 2), 128, np.uint8)) if colour is None else planes_of(self._rec, 0, colour)
         )
         outline = self._outline(planes, seen)
+        if outline is None or self.follower is None:
+            return BodyFrame(**vars(seen))
         places = None
-        if outline is not None and self.follower is not None and not self._rec.tags.on_beam:
+        if not self._rec.tags.on_beam:
             stations = self.follower.place.stations
             curve = stations.curve(outline.state).xy / stations.length
             places = np.stack([np.interp(SHOWN, stations.s, column) for column in curve.T], axis=1)
             places = np.where(np.isfinite(outline.away).any(), places, np.nan)
-        return BodyFrame(**vars(seen), outline=outline, places=places)
+        return BodyFrame(**vars(seen), outline=outline, curve=outline.drawn(self.follower), places=places)
 
     def _outline(self, planes: Planes, seen: TrackedFrame) -> OutlineSighting | None:
         base = len(self._rec.tags.on_base)
@@ -104,6 +116,12 @@ class BodyTracker:
         self._lost = 0 if np.isfinite(away).any() else self._lost + 1
         self.why = NOT_SEEN if self._lost and not self._rec.tags.on_beam else ""
         return OutlineSighting(state, away, shift)
+
+
+def curve_in(seen: TrackedFrame) -> Array:
+    """(c, 2) px of the outline in a picture; (0, 2) where none was followed."""
+    none = np.zeros((0, 2))
+    return none if not isinstance(seen, BodyFrame) or seen.curve is None else seen.curve
 
 
 @dataclass(frozen=True)

@@ -86,6 +86,7 @@ class CaptureState:
     advice: tuple[str, ...] = ()  # what to do now, the most urgent first
     picture: Picture | None = None  # (H, W), the newest
     tags: tuple[TagView, ...] = ()  # of the newest picture that was searched
+    outline: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (c, 2) px, in it; NaN where it is not seen
     force: Array = field(default_factory=lambda: np.full(2, np.nan))  # (2,) N, newest, in the sensor's axes, less tare
     tare: Array = field(default_factory=lambda: np.full(2, np.nan))  # (2,) N
     displacement: float = math.nan  # of the tip from its rest, as a share of the beam's length

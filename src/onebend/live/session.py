@@ -16,7 +16,7 @@ import numpy as np
 
 from onebend.errors import ObservationError, OnebendError, RecordingError
 from onebend.live import guidance
-from onebend.live.body import BodyFrame, BodyTracker
+from onebend.live.body import BodyFrame, BodyTracker, curve_in
 from onebend.live.guidance import CaptureOutcome, CaptureSettings, CaptureState, Stages, Stop, TagView
 from onebend.live.live import Live
 from onebend.live.recording_folder import FilmWriter, Logs, Pump, RecordingPlaces, places_for, room_left, state_start
@@ -42,15 +42,15 @@ class Follower:
         self._live: Live | None = None
         self._narrowest = guidance.Widening()
 
-    def look(self, frame: Frame) -> tuple[tuple[TagView, ...], list[str]]:
-        """The tags of a picture before the film begins, and what is to be better."""
+    def look(self, frame: Frame) -> tuple[tuple[TagView, ...], Array, list[str]]:
+        """The tags and the outline (c, 2) px of a picture before the film begins, and what is to be better."""
         try:
             seen = self._tracker.step(frame.picture, frame.arrival, frame.colour)
         except ObservationError as wrong:
-            return (), [str(wrong)]
+            return (), np.zeros((0, 2)), [str(wrong)]
         views = guidance.tag_views(self.rec.tags, seen.corners)
         advice = guidance.setup_advice(frame.picture, views, seen.strangers)
-        return views, advice or ([self._tracker.why] if self._tracker.why else [])
+        return views, curve_in(seen), advice or ([self._tracker.why] if self._tracker.why else [])
 
     def begin(self, error: float) -> None:
         """The film begins, and its clock; that of the force is the same to `error` [s]."""
@@ -235,14 +235,15 @@ class _Session:
             return
         if self._too_late():
             return
-        views, advice = self._follower.look(frame)
+        views, outline, advice = self._follower.look(frame)
         self._good = 0 if advice else self._good + 1
         if advice or math.isnan(self._good_since):
             self._good_since = frame.arrival
         if self._force is not None and not any(isinstance(one, Samples) for one in self._early):
             advice.append(say("record: no force"))
         advice = advice or [say("picture: good")]
-        self._state = replace(self._state, picture=frame.picture, tags=views, advice=tuple(advice))
+        shown = replace(self._state, picture=frame.picture, tags=views, outline=outline)
+        self._state = replace(shown, advice=tuple(advice))
         if self._good >= FIRST_LOOKS and frame.arrival - self._good_since >= settings.setup:
             self._begin()
 
@@ -283,7 +284,7 @@ class _Session:
             self._tags(frame, time, seen.corners)
             self._stages.update(time, seen.corners, seen.places if isinstance(seen, BodyFrame) else None)
             views = guidance.tag_views(self._places.rec.tags, seen.corners)
-            self._state = replace(self._state, picture=frame.picture, tags=views)
+            self._state = replace(self._state, picture=frame.picture, tags=views, outline=curve_in(seen))
         self._state = replace(self._state, seconds=time, frames=self._film.frames)
         if time > self._settings.longest:
             self._end("ended: longest", seconds=self._settings.longest)

@@ -100,6 +100,7 @@ def state_data(state: live.CaptureState) -> dict[str, Any]:
         "stage": order.index(state.stage),
         "size_px": None if state.picture is None else state.picture.shape[::-1],
         "tags": tags,
+        "outline_px": state.outline.round(1),
         "tag_s": sorted({tag.s for tag in state.tags if not tag.on_base}),
         "force_N": state.force,
         "tare_N": state.tare,

@@ -12,7 +12,7 @@ export class Live {
     curve = new CurveView();
     said = h("p", { class: "heard", role: "status" });
     lines = h("ul");
-    node = h("canvas", { role: "img", "aria-label": "the camera's picture with the tags that were found" });
+    node = h("canvas", { role: "img", "aria-label": "the camera's picture with the tags and the outline that were found" });
     canvas;
     big = h("p", { class: "big" });
     rows = {};
@@ -103,7 +103,7 @@ export class Live {
         const now = this.newest;
         if (!now?.picture || now.picture === this.number || this.fetching)
             return;
-        const image = new Image(), { size_px: size, tags } = now.state;
+        const image = new Image(), { size_px: size, tags, outline_px: outline } = now.state;
         this.number = now.picture;
         this.fetching = true;
         const over = () => {
@@ -112,7 +112,7 @@ export class Live {
         };
         image.addEventListener("load", () => {
             this.image = image;
-            this.shown = { size: size, tags };
+            this.shown = { size: size, tags, outline };
             this.node.style.aspectRatio = `${size[0]} / ${size[1]}`;
             this.canvas.redraw();
             over();
@@ -123,10 +123,18 @@ export class Live {
     paint = ({ context, width }, tint) => {
         if (!this.image || !this.shown)
             return;
-        const { size: [wide, high], tags } = this.shown, scale = width / wide;
+        const { size: [wide, high], tags, outline } = this.shown, scale = width / wide;
         context.drawImage(this.image, 0, 0, width, scale * high);
         context.font = "600 12px system-ui, sans-serif";
         context.textAlign = "center";
+        for (const [line, ink] of [[4, "#fff"], [2, "#2fb98c"]]) {
+            context.lineWidth = line;
+            context.strokeStyle = ink;
+            for (const seen of stretches(outline)) {
+                trace(context, seen.map(([x, y]) => [scale * (x + 0.5), scale * (y + 0.5)]));
+                context.stroke();
+            }
+        }
         for (const { id, side_px, corners_px } of tags) {
             if (!corners_px)
                 continue;
@@ -141,6 +149,16 @@ export class Live {
         }
         this.node.style.borderColor = tint.line;
     };
+}
+function stretches(outline) {
+    const parts = [[]];
+    for (const [x, y] of outline) {
+        if (x === null || y === null)
+            parts.push([]);
+        else
+            parts[parts.length - 1].push([x, y]);
+    }
+    return parts.filter((part) => part.length > 1);
 }
 function tagWords(tags) {
     const hidden = tags.filter((tag) => !tag.corners_px).map((tag) => tag.id), sides = tags.flatMap((tag) => tag.side_px ?? []);
