@@ -42,7 +42,7 @@ class Row:
 def replayed(o: Observations) -> tuple[OnlineLearner, Array, Array]:
     """The learner at the end of a recording, and wall and processor time of every update."""
     mass = o.stated.mass if np.isfinite(o.stated.mass) else 0.0
-    learner = OnlineLearner(o.length, o.marker_s, START, mass=mass, settings=settings_for(o))
+    learner = OnlineLearner(o.length, o.marker_s, START, traced=o.traced, mass=mass, settings=settings_for(o))
     wall, processor = [], []
     for frame in live_frames(o):
         given = vars(frame)
