@@ -66,6 +66,7 @@ class Led:
     seed: int
     new: bool  # another tool and sensor
     off: float  # m, of the true point from the goal
+    quiet: float  # m, the same where the log has no new noise
     squared: float  # Mahalanobis distance from the predicted place
     long: float  # m, larger semi-axis of the 95 % ellipse
     doubted: bool
@@ -164,9 +165,10 @@ def led(one: Learned, *, with_new: bool = True) -> list[Led]:
                 continue  # the draws of the goals stay the same
             found = reach_in_setup(beam, known, setup, goal, push_s=push.at_s, new=NEW if new else ())
             place = there.place(found.force, 1.0)
-            off = float(np.linalg.norm(place - goal))
+            quiet = replace(there, noise=(0.0, 0.0)).place(found.force, 1.0) if any(there.noise) else place
+            off, exact = (float(np.linalg.norm(at - goal)) for at in (place, quiet))
             squared, long = float(found.predicted.distance(place)), float(found.predicted.ellipse().semi_axes[0])
-            out.append(Led(one.cell, one.seed, new, off, squared, long, bool(one.posterior.doubts)))
+            out.append(Led(one.cell, one.seed, new, off, exact, squared, long, bool(one.posterior.doubts)))
     return out
 
 
@@ -181,11 +183,14 @@ def run(cell: str, seed: int) -> list[Led] | str:
 
 def row(name: str, goals: Sequence[Led]) -> str:
     """The table's row of goals on some benches."""
-    off = 1e3 * np.quantile([one.off for one in goals], [0.5, 0.9])
+    off, quiet = (
+        1e3 * np.quantile(which, [0.5, 0.9]) for which in zip(*((g.off, g.quiet) for g in goals), strict=True)
+    )
     inside = [100.0 * np.mean([one.squared <= -2.0 * np.log1p(-level) for one in goals]) for level in LEVELS]
     long = 1e3 * float(np.median([one.long for one in goals]))
     return (
         f"| {name} | {len({one.seed for one in goals})} | {len(goals)} | {off[0]:.2f} | {off[1]:.2f} "
+        f"| {quiet[0]:.2f} / {quiet[1]:.2f} "
         f"| {' / '.join(f'{share:.0f}' for share in inside)} | {long:.1f} |"
     )
 
@@ -206,9 +211,10 @@ def main() -> None:
             else:
                 goals += found
     levels = " / ".join(f"{100 * level:.0f}" for level in LEVELS)
-    heads = ("effects", "benches", "goals", "tip off, median [mm]", "90 % [mm]", f"inside the {levels} % ellipse [%]")
+    heads = ["effects", "benches", "goals", "tip off, median [mm]", "90 % [mm]"]
+    heads += ["the same without new noise of the log [mm]", f"inside the {levels} % ellipse [%]"]
     print(f"| {' | '.join(heads)} | larger semi-axis, 95 % [mm] |")
-    print("| --- " * 7 + "|")
+    print("| --- " * 8 + "|")
     for cell in asked.cells:
         for new in (False, True):
             some = [one for one in goals if (one.cell, one.new) == (cell, new)]

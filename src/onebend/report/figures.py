@@ -34,7 +34,9 @@ from onebend.report.overview import SOFTWARE, Overview, tared
 from onebend.report.pictures import Draw, Pictures, draw, film_of, film_strip, reason_of
 from onebend.report.sentences import (
     LEVELS,
+    axis_words,
     highest_shown,
+    legend_words,
     millimetres,
     only_frequencies,
     significant,
@@ -142,9 +144,9 @@ def _reach(where: BoolArray) -> BoolArray:
 
 
 def _places(axes: Axes, tags: Mapping[int, float], push_s: float | None) -> None:
-    count = len(tags)
-    for i, (tag, place) in enumerate(tags.items()):
-        tint, text = hue_of(i, count), f"tag {tag}" if i == 0 else f"{tag}"
+    count, words = len(tags), axis_words(list(tags)) if tags else []
+    for i, (text, place) in enumerate(zip(words, tags.values(), strict=True)):
+        tint = hue_of(i, count)
         axes.plot(place, 0.0, marker=shape(i), color=tint, markersize=7, clip_on=False, zorder=5)
         if i in named(count):
             axes.annotate(text, (place, 0.0), (0, 7), textcoords="offset points", ha="center", color=tint, fontsize=8.5)
@@ -294,7 +296,7 @@ def shapes(beam: Beam, comparison: Comparison, observations: Observations, fitte
         for i in range(count):
             axes.plot(
                 *(MM * shown.measured[t, i]), shape(i), color=hue_of(i, count), alpha=strength, markersize=6, zorder=4,
-                label=f"{tag_words(shown, i)} measured" if order == len(chosen) - 1 and i in named(count) else None,
+                label=f"{legend_words(shown, i)} measured" if order == len(chosen) - 1 and i in named(count) else None,
             )  # fmt: skip
     axes.plot([], [], color=BLUE, label="simulated beam" if fitted is None else "fitted beam")
     if fitted is not None and not comparison.static:
@@ -319,7 +321,7 @@ def markers(comparison: Comparison, fitted: Explained | None = None) -> Figure:
             if fitted is not None and not comparison.static:
                 axes.plot(*_unbroken(time, MM * comparison.predicted[:, i, axis]), color=tint, linewidth=0.9, **_DASHED)
             curve = _unbroken(shown.time - comparison.time[0], MM * shown.predicted[:, i, axis])
-            label = f"tag {comparison.tag_id[i]}, s = {comparison.marker_s[i]:.3g}" if i in named(count) else None
+            label = legend_words(comparison, i, place=True) if i in named(count) else None
             axes.plot(*curve, color=tint, linewidth=1.4, label=label, **_marked(i, time))
         axes.set_ylabel(f"{name} [mm]")
     below.set_xlabel(_time_label(comparison))

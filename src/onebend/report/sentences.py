@@ -20,6 +20,7 @@ from onebend.learning.frequencies import ComparedFrequency, Posture
 from onebend.learning.outcome import Comparison, Notice, another_beam, poor_fit
 from onebend.learning.run import Run
 from onebend.records import (
+    POINT_ID,
     Array,
     CleanForce,
     ClockOffset,
@@ -162,6 +163,21 @@ def worst_tag(comparison: Comparison) -> str:
 def tag_words(comparison: Comparison, index: int) -> str:
     """As `marker_words`."""
     return marker_words(int(comparison.tag_id[index]), float(comparison.marker_s[index]))
+
+
+def legend_words(comparison: Comparison, index: int, *, place: bool = False) -> str:
+    """For legends: "tag 3", with its place "tag 3, s = 1"; of a point of an outline its place alone."""
+    number, s = int(comparison.tag_id[index]), float(comparison.marker_s[index])
+    at = f"s = {s:.3g}"
+    if number >= POINT_ID:
+        return at
+    return f"tag {number}, {at}" if place else f"tag {number}"
+
+
+def axis_words(numbers: Sequence[int]) -> list[str]:
+    """For marks along an axis that shows s: "tag 1", "2", "3"; of an outline only its first point has a word."""
+    first = "outline" if numbers[0] >= POINT_ID else f"tag {numbers[0]}"
+    return [first, *("" if i >= POINT_ID else f"{i}" for i in numbers[1:])]
 
 
 def clock_words(clock: ClockOffset) -> str:

@@ -44,7 +44,7 @@ def test_the_script_is_given_the_curve_of_the_records() -> None:
     assert [band["level"] for band in data["bands"]] == [0.95, 0.8, 0.5]
     assert data["known"] == found.posterior.band(S).identified.tolist()
     assert data["top_N_m"] == highest_shown(found.posterior.stiffness)
-    assert data["tag_id"] == [1, 2, 3]
+    assert data["tag_words"] == ["tag 1", "2", "3"]
     assert data["tag_s"] == pytest.approx(found.trainings[0].marker_s, rel=1e-5)
 
 

@@ -20,8 +20,10 @@ from onebend.report.page import cards, code_in, page
 from onebend.report.sentences import (
     all_remarks,
     assumptions,
+    axis_words,
     clock_words,
     inputs,
+    legend_words,
     millimetres,
     pair_remarks,
     significant,
@@ -139,6 +141,15 @@ def test_points_of_an_outline_are_no_rows_of_tags() -> None:
     text = Links(page(replace(found, recordings=(outlined,)), {}, version="0")).text
     assert str(POINT_ID + 50) not in text
     assert all(f"tag {i}" in text for i in one.tag_id)
+
+
+def test_points_of_an_outline_go_by_their_places() -> None:
+    one = made_up.comparison()
+    points = replace(one, tag_id=POINT_ID + np.arange(len(one.tag_id)))
+    assert axis_words(one.tag_id.tolist()) == ["tag 1", "2", "3"]
+    assert axis_words(points.tag_id.tolist()) == ["outline", "", ""]
+    assert (legend_words(one, 2), legend_words(one, 2, place=True)) == ("tag 3", f"tag 3, s = {one.marker_s[2]:.3g}")
+    assert legend_words(points, 2) == legend_words(points, 2, place=True) == f"s = {one.marker_s[2]:.3g}"
 
 
 @pytest.mark.parametrize("fitted", [True, False])

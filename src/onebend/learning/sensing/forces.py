@@ -43,7 +43,7 @@ class Estimates:
     place: Array  # (F,) s
     covariance: Array  # (F, d, d) of load and, where it was sought, place: N, N m, s
     common: Array  # (F, n, r) N, effect on the load of one sd of each error of the bench
-    objective: Array  # (F,) squared residuals, whitened, and the prior's part
+    objective: Array  # (F,) squared residuals, whitened, the prior's part, and the log of the noise's determinant
     chi2: Array  # (F,) squared residuals, whitened
     pose: Array  # (F, m, 3) the tags that belong to it
     settled: BoolArray  # (F,) nearly the same with noise as it counts there
@@ -174,22 +174,22 @@ class FrameModel:
         at, limits = self.over_noise(around.now, around.by_own, root), replace(self.limits(_SETTLED, around), steps=1)
         at = replace(at, feasible=at.feasible & feasible)
         found = most_probable(partial(self.linearise, root=root), at, around.own, self.mean, self.sd, limits)
-        return self._estimates(found, root @ around.shared, around.now.pose), around
+        return self._estimates(found, root, around, root @ around.shared), around
 
     def followed(self, around: Around) -> tuple[Estimates, Around]:
         """The same of one frame that is near, but for the common errors: noise counts as at each step, and the last one
         is taken to first order. Near a buckling load that noise changes much from frame to frame."""
         for number in range(_MOST_FOLLOWED):
-            found, after = self._stepped(around, _CLOSE if number else 0.0)
+            root, found, after = self._stepped(around, _CLOSE if number else 0.0)
             if after is None:
-                return self._estimates(found, np.zeros((*found.at.residual.shape, 0)), around.now.pose), around
+                return self._estimates(found, root, around, root[..., :0]), around
             if not np.array_equal(found.x, after.own):
                 break
             around = after
         return self.searched(around)
 
-    def _stepped(self, around: Around, tolerance: float) -> tuple[MostProbable, Around | None]:
-        """One step on, and what was seen where it ended; None: it was small."""
+    def _stepped(self, around: Around, tolerance: float) -> tuple[Array, MostProbable, Around | None]:
+        """What whitens, one step on, and what was seen where it ended; None: it was small."""
         root, looks = _whitening(around.shared), []
 
         def linearise(_: IntArray, own: Array, near: Array) -> Linearised:
@@ -199,9 +199,10 @@ class FrameModel:
         begin = self.over_noise(around.now, around.by_own, root)
         limits = replace(self.limits(tolerance, around), steps=1)
         found = most_probable(linearise, begin, around.own, self.mean, self.sd, limits)
-        return found, looks[0] if looks else None
+        return root, found, looks[0] if looks else None
 
-    def _estimates(self, found: MostProbable, shared: Array, pose: Array) -> Estimates:
+    def _estimates(self, found: MostProbable, whiten: Array, around: Around, shared: Array) -> Estimates:
+        noise = -2.0 * np.sum(np.log(np.diagonal(whiten, axis1=1, axis2=2)), axis=1)
         root, known = found.root, np.where(found.at.feasible[:, None], found.x, np.nan)
         place = known[:, -1] if self.seek_place else np.where(found.at.feasible, self.place, np.nan)
         return Estimates(
@@ -209,15 +210,15 @@ class FrameModel:
             place=place,
             covariance=root @ np.swapaxes(root, 1, 2),
             common=-(found.by_residual(root) @ shared)[:, : self.load],
-            objective=found.objective,
+            objective=found.objective + noise,
             chi2=np.sum(found.at.residual**2, axis=1),
-            pose=pose,
+            pose=around.now.pose,
             settled=found.converged | ~found.at.feasible,
         )
 
 
 def _whitening(shared: Array) -> Array:
-    """(F, 3 m, 3 m) that whitens noise of sd one and what the frames share (F, 3 m, r)."""
+    """(F, 3 m, 3 m), lower triangular, that whitens noise of sd one and what the frames share (F, 3 m, r)."""
     return np.asarray(np.linalg.inv(noise_root(shared @ np.swapaxes(shared, 1, 2))))
 
 
@@ -256,10 +257,13 @@ def estimate(
         if not rows.size:
             break
         at = found.place[rows] if seek_place else place[rows]
-        found.put(rows, searched(frames[rows], at, found.force[rows], (_SETTLED,)))
+        again = searched(frames[rows], at, found.force[rows], (_SETTLED,))
+        found.settled[rows] = True
+        better = np.flatnonzero(again.objective < found.objective[rows])
+        found.put(rows[better], again.take(better))
     for _ in range(restarts):  # frames that ended far from what their neighbours explain begin anew where those ended
         numbers = np.sum(np.isfinite(bench.observations.xy[frames]), axis=(1, 2))
-        lost = np.flatnonzero(~(found.objective < _FAR * np.maximum(numbers, np.nanmedian(found.objective))))
+        lost = np.flatnonzero(~(found.chi2 < _FAR * np.maximum(numbers, np.nanmedian(found.chi2))))
         good = np.setdiff1d(np.arange(len(frames)), lost)
         if not (lost.size and good.size):
             break

@@ -36,8 +36,8 @@ from onebend.learning.prediction import Prediction, predict
 from onebend.learning.static_poses import RESOLUTION
 from onebend.records import Array, IntArray, Observations, Readings
 
-LEARNED = ("curvature", "clamp", "origin", "along", "across", "turn")  # that a film of the same mounting has as well
-_STATED = (*LEARNED, "scale")  # errors of a bench without a log, whose beam is known
+LEARNED = ("curvature", "along", "across", "turn")  # that films of the beam have in common; the clamp may be another
+_STATED = (*LEARNED, "clamp", "origin", "scale")  # errors of a bench without a log, whose beam is known
 _PLACES = 401
 _SLIGHT = 3e-3  # of log k
 _EDGES = 0.02  # of s, between edges of grids: a force between two acts as one at the next with another lever
@@ -214,8 +214,8 @@ def bench_at(
     place_sd: float,
 ) -> Bench:
     """As the recording states it, with the discrepancy of the `setup` in which the beam was learned, and the place of
-    the contact to `place_sd` [m]; with `tags_as_learned`, rest curvature, clamp and tags are those of the set-up, with
-    what their errors have in common with those of k(s)."""
+    the contact to `place_sd` [m]; with `tags_as_learned`, rest curvature and tags are those of the set-up, with what
+    their errors have in common with those of k(s). The clamp may be another."""
     o = observations
     as_learned = tags_as_learned and stiffness is not None and same_tags(o, setup)
     tags = [str(i) for i in o.tag_id]

@@ -261,8 +261,8 @@ def sense(
     The regions hold the tags' noise, the band of k(s) where `stiffness` gives one, the mounting (the tags' places and
     turns, the clamp, the rest shape) as it is left by the frames at rest, and the place's tolerance. The force log is
     not used but to compare with. `setup` is that in which the beam was learned, with what is new: where the recording
-    has the same tags, they and the clamp are as they were learned, together with the errors of k(s); what the learning
-    left unexplained (its discrepancy) counts in any case.
+    has the same tags, they are as they were learned, together with the errors of k(s); what the learning left
+    unexplained (its discrepancy) counts in any case.
 
     Raises:
         LearningError: the beam is not that of the recording, its end is held, nobody says where the force acts, or no

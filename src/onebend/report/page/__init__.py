@@ -174,7 +174,7 @@ def _curve(findings: Run) -> dict[str, Any]:
     k = np.asarray(beam.stiffness(s))
     found: dict[str, Any] = {
         "length_m": beam.length,
-        "tag_id": findings.trainings[0].tag_id.tolist(),
+        "tag_words": sentences.axis_words(findings.trainings[0].tag_id.tolist()),
         "tag_s": _short(findings.trainings[0].marker_s),
         "k_N_m": _short(k),
         "bands": [],

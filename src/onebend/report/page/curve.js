@@ -87,7 +87,7 @@ function curveFigure(figure, data) {
     }
     data.tag_s.forEach((place, i) => {
       drawn(svg, "circle", { cx: x(place), cy: height - bottom, r: 4, fill: INK });
-      drawn(svg, "text", { x: x(place), y: height - bottom - 8, "text-anchor": "middle" }, i ? `${data.tag_id[i]}` : `tag ${data.tag_id[0]}`);
+      drawn(svg, "text", { x: x(place), y: height - bottom - 8, "text-anchor": "middle" }, data.tag_words[i]);
     });
     const mark = drawn(svg, "svg", inner);
     axes = { x, y, left, right, width, line: [top, height - bottom], mark };
