@@ -25,10 +25,8 @@ CHUNK = 250  # frames solved together
 _STRIDE = 1.5  # of k/L: no longer step of the force at once
 _FAR = 3.0  # times what is usual
 _TOLERANCES = (0.1, 3e-3)  # posterior sds, of the last step of each search; what is left is its square
-_CLOSE, _MOST_FOLLOWED = (
-    0.3,
-    8,
-)  # the last step of a frame after the other; rounds, each with the noise as it counts there
+# Of a frame after the other: posterior sds of the last step, and rounds, each with the noise as it counts there
+_CLOSE, _MOST_FOLLOWED = 0.3, 8
 _ROUNDING = 1e-12  # of the variance of all that frames share: next to it noise of sd one is lost in rounding
 _ROUNDS, _SETTLED = 8, 0.03  # with the noise as it counts where a search has ended, and posterior sds of the last step
 _HALVINGS = 6  # of a first force under which the beam does not stand
