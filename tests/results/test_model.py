@@ -264,4 +264,8 @@ def test_a_set_up_of_before_is_not_read(tmp_path: Path) -> None:
     """Its force error was one of the tags' displacement."""
     data = {**GOOD, "version": 8, "setup": {"sizes": {"force error": 4}}}
     (tmp_path / "model.json").write_text(json.dumps(with_checksum(data)), encoding="utf-8")
-    assert read_model(tmp_path).setup is None
+    found = read_model(tmp_path)
+    assert found.setup is None
+    assert "set-up of an older version" in found.left_out
+    with pytest.warns(UserWarning, match="set-up of an older version"):
+        load_model(tmp_path)

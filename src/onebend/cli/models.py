@@ -42,8 +42,8 @@ def read_trusted(model: Path) -> StoredModel:
 
 
 def say_changed(model: Path, stored: StoredModel) -> None:
-    """Warns of a changed or exchanged file."""
-    for words in filter(None, (stored.changed, stored.swapped)):
+    """Warns of a changed or exchanged file, and of one that is not read whole."""
+    for words in filter(None, (stored.changed, stored.swapped, stored.left_out)):
         common.say_warning(f"{model_file(model)} {words}.", about="changed file")
 
 

@@ -74,6 +74,10 @@ VERSION = 9
 # went with the tags' displacement: it is not read, and predictions are those of a new set-up
 READABLE = (1, 2, 3, 4, 5, 6, 7, 8, 9)
 _OF_PLACES = 9  # the first version whose set-up's force error goes with the place of the push
+_OLD_SETUP = (
+    "has a set-up of an older version, which is not read: answers are those of k(s) alone. Learn the beam again to "
+    "have it"
+)
 FILE_NAME = "model.json"
 WIDEST = 1e3  # sd of log k
 KEYS = {
@@ -104,6 +108,7 @@ class StoredModel:
     section: StatedSection | None = None  # if stated
     changed: str = ""  # how the file was changed; its k(s) is then in doubt
     swapped: str = ""  # how it differs from the folder's summary
+    left_out: str = ""  # what is not read of a file of an older version
 
     def bending(
         self, setup: SetUp, push_s: float, points: ArrayLike, *, gravity: tuple[float, float] = (0.0, 0.0)
@@ -192,7 +197,7 @@ def model_file(path: Path | str) -> Path:
 
 def _read_and_warn(path: Path | str) -> StoredModel:
     stored = read_model(path)
-    for words in filter(None, (stored.changed, stored.swapped)):
+    for words in filter(None, (stored.changed, stored.swapped, stored.left_out)):
         warnings.warn(f"{model_file(path)}: {words}", UserWarning, stacklevel=3)
     return stored
 
@@ -219,6 +224,7 @@ def read_model(path: Path | str) -> StoredModel:
         section=_part(file, data, "section", section_from_dict),
         changed=changed,
         swapped=_swapped(file),
+        left_out=_OLD_SETUP if data["version"] < _OF_PLACES and "setup" in data else "",
     )
 
 
