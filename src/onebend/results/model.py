@@ -224,7 +224,7 @@ def read_model(path: Path | str) -> StoredModel:
         section=_part(file, data, "section", section_from_dict),
         changed=changed,
         swapped=_swapped(file),
-        left_out=_OLD_SETUP if data["version"] < _OF_PLACES and "setup" in data else "",
+        left_out=_OLD_SETUP if data["version"] < _OF_PLACES and data.get("setup") else "",
     )
 
 
