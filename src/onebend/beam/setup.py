@@ -54,7 +54,7 @@ PARTS: dict[str, tuple[str, tuple[Renewed, ...]]] = {
 }
 _BEYOND = 1.5  # times the largest force of the recording: beyond, nothing tells how the beam bends
 _ERRORS = 10  # coefficients of the force error
-_MOST_REACHED = 0.9  # of the stiffness, by what relaxes
+MOST_REACHED = 0.9  # part of the curvature that all that relaxes may reach: beyond, no stiffness would be left
 _FAR = 30.0  # sds of a normal density: nothing is farther
 _ELSEWHERE = 1e-3  # of s: a push as far from that of the recording is a new contact
 _PASSES = 4  # of the parts that follow the shape: each pass leaves a few percent of their error
@@ -170,7 +170,7 @@ class SetUp:
         k = np.exp(log_k + (0.0 if known.offset is None else known.offset(nodes)))
         if self.reached_at_largest:
             shares = part("relaxation", len(self.reached))
-            left = 1.0 - np.minimum(shares @ np.array([self.reached_at_largest, self.reached]).T, _MOST_REACHED)
+            left = 1.0 - np.minimum(shares @ np.array([self.reached_at_largest, self.reached]).T, MOST_REACHED)
             k = k * left[:, :1] / left[:, 1:]
         length = beam.length * np.exp(part("length"))
         stretch, shear = RectangularSection(self.thickness).compliance(k, weights, length)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from onebend.beam.model import Beam
-from onebend.beam.setup import SetUp
+from onebend.beam.setup import MOST_REACHED, SetUp
 from onebend.beam.stiffness import POISSON, SHAPE_LEVELS, SHAPE_PLACES, LogSpline, Polyline, UncertainStiffness, Uniform
 from onebend.errors import ExportError, MechanicsError
 from onebend.records import Array, StatedSection
@@ -212,7 +212,6 @@ def sample_of_model(
 
 
 _LEAST = 1e-3  # of a share: less is none
-_MOST_REACHED = 0.9  # of the curvature, by what relaxes
 
 
 def in_setup(rod: RodSample, numbers: Array) -> RodSample:
@@ -230,8 +229,8 @@ def in_setup(rod: RodSample, numbers: Array) -> RodSample:
     shares = np.maximum(part.get("relaxation", np.zeros(0)), 0.0)
     if not setup.times or not np.any(shares > _LEAST):
         return replace(rod, relaxation=(), instantaneous=1.0)
-    shares = shares / max(1.0, float(shares.sum()) / _MOST_REACHED)
-    reached = min(float(shares @ setup.reached), _MOST_REACHED)
+    shares = shares / max(1.0, float(shares.sum()) / MOST_REACHED)
+    reached = min(float(shares @ setup.reached), MOST_REACHED)
     relaxation = tuple(Relaxing(float(a), tau) for a, tau in zip(shares, setup.times, strict=True))
     return replace(rod, relaxation=relaxation, instantaneous=1.0 / (1.0 - reached))
 

@@ -13,7 +13,7 @@ import numpy as np
 from onebend.beam.grid import Grid, Modes, apply
 from onebend.beam.problem import Problem, riding_beyond
 from onebend.beam.sensitivity import of_mass
-from onebend.beam.setup import posture_terms
+from onebend.beam.setup import MOST_REACHED, posture_terms
 from onebend.beam.stiffness import Profile, RectangularSection, Uniform
 from onebend.errors import LearningError
 from onebend.learning.frames import push_places
@@ -96,7 +96,7 @@ class PushCourse:
     friction_sd: float  # prior sd of the tool's coefficient of friction
     time: Array  # (T,) s, without those at rest
     force: Array  # (F, 2) N
-    largest: tuple[float, float]  # N, m: the largest force, and displacement of the tags, root mean square
+    largest: float  # N, the largest force
     push_s: Array  # (F,)
     bend: Array  # (F,) displacement of the tags, over its largest
     back: Array  # (F,) 1 after the largest displacement
@@ -150,7 +150,7 @@ def course_of(
         friction_sd=o.stated.friction_sd,
         time=time,
         force=with_rest(force, count),
-        largest=(float(np.max(np.linalg.norm(force, axis=1), initial=0.0)), largest),
+        largest=float(np.max(np.linalg.norm(force, axis=1), initial=0.0)),
         push_s=with_rest(push_s, count),
         bend=with_rest(bend, count),
         back=with_rest(back, count),
@@ -577,7 +577,7 @@ def posture_bias(course: PushCourse) -> Allowance | None:
     n = terms.shape[1]
     labels = tuple(f"posture bias {axis}{i}" for axis in "xy" for i in range(1, n + 1))
     largest = np.sqrt(n) if live else max(float(np.max(np.linalg.norm(terms, axis=1))), _SMALL)
-    sd = np.full(2 * n, POSTURE_SD * course.largest[0] / largest)
+    sd = np.full(2 * n, POSTURE_SD * course.largest / largest)
     basis = np.zeros((len(terms), 2, 2, n))
     basis[:, [0, 1], [0, 1]] = terms[:, None, :]
     powers = np.tile([1.0, 2.0], 2) if live else _nothing()
@@ -593,7 +593,6 @@ def posture_bias(course: PushCourse) -> Allowance | None:
 
 TIMES = np.array([1.0, 3.0, 9.0])  # s, tau_j
 SHARE_SD = 0.05  # of each a_j: shares of the stiffness that relax
-LARGEST = 0.9  # of c: beyond, nothing would be left of the stiffness
 
 
 def relaxation(course: PushCourse) -> Allowance:
@@ -642,7 +641,7 @@ def rest_shift(remembering: Array, q: Array, weights: Array) -> Array:
     count, out = len(remembering), np.zeros_like(q)
     v = remembering @ q[:count]
     reached = reached_part(v, q[:count], weights)
-    out[:count] = (v - reached * q[:count]) / (1.0 - min(reached, LARGEST))
+    out[:count] = (v - reached * q[:count]) / (1.0 - min(reached, MOST_REACHED))
     return out
 
 
@@ -664,7 +663,7 @@ def remembered(remembering: Array, q: Array, weights: Array, change: Array) -> A
     bent, moved = q[:count], change[:count].reshape(count, -1)
     v, square = remembering @ bent, float(np.sum(weights * bent**2))
     reached = reached_part(v, bent, weights)
-    left = 1.0 - min(reached, LARGEST)
+    left = 1.0 - min(reached, MOST_REACHED)
     by_shape = weights * (v - 2.0 * reached * bent) + remembering.T @ (weights * bent)
     reached_moved = by_shape.ravel() @ moved.reshape(-1, p) / max(square, np.finfo(float).tiny)  # (P,)
     by_reached = (v - reached * bent) / left**2 - bent / left
@@ -687,7 +686,7 @@ def shift_of_lags(shares: Array, every: Array, q: Array, reached: Array) -> tupl
 
     `every` (F, Q, n) the curvatures v_j that lag behind q (F, Q), `reached` (n,) the part of q that each has reached.
     """
-    all_reached = min(float(shares @ reached), LARGEST)
+    all_reached = min(float(shares @ reached), MOST_REACHED)
     away = every @ shares - all_reached * q
     direct = (every - q[..., None] * reached) / (1.0 - all_reached)
     by_shares = direct + away[..., None] * (reached / (1.0 - all_reached) ** 2)

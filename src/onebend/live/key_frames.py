@@ -42,7 +42,7 @@ def course_of_frame(
         friction_sd=0.0,
         time=rest,
         force=np.array([[1.0, 0.0]]),
-        largest=(1.0, 1.0),
+        largest=1.0,
         push_s=rest,
         bend=rest,
         back=rest,

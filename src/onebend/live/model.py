@@ -12,6 +12,7 @@ import numpy as np
 
 from onebend.beam.continuation import ContinuationSettings
 from onebend.beam.problem import Resolution
+from onebend.beam.setup import MOST_REACHED
 from onebend.learning import allowances as effects
 from onebend.learning.fit_data import FitData, fit_data
 from onebend.learning.force_error import SpannedError
@@ -292,7 +293,7 @@ class Lineariser:
             return x, covariance
         layout, reached = self._session.layout, self._reached(keys, point)
         where, p, shares = layout.index["relaxation", -1].where, layout.spline.count, layout.get(x, "relaxation")
-        left, usual = (1.0 - min(float(shares @ part), effects.LARGEST) for part in (reached, REACHED))
+        left, usual = (1.0 - min(float(shares @ part), MOST_REACHED) for part in (reached, REACHED))
         out, onto = x.copy(), np.eye(len(x))
         out[:p] += np.log(left / usual)
         onto[:p, where] = REACHED / usual - reached / left

@@ -211,8 +211,9 @@ def inputs(observations: Observations) -> list[tuple[str, str]]:
     if kind_of(observations) == "frequencies":
         return [*rows, ("natural frequencies", str(len(observations.frequencies)))]
     found = 100.0 * np.isfinite(observations.xy[..., 0]).mean(axis=0)
-    names = {i: marker_words(int(observations.tag_id[i]), float(observations.marker_s[i])) for i in range(len(found))}
-    tags = ", ".join(f"{names[i]} {found[i]:.1f} %" for i in read_before_fit(observations).tolist())
+    shown = read_before_fit(observations)
+    places = zip(observations.tag_id[shown].tolist(), observations.marker_s[shown].tolist(), found[shown], strict=True)
+    tags = ", ".join(f"{marker_words(number, s)} {share:.1f} %" for number, s, share in places)
     words = words_of(observations)
     return [*rows, (f"{words.frames} in which a tag was found", tags)]
 

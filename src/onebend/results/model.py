@@ -70,8 +70,8 @@ def origin_of(learned: Learned | None, posterior: Posterior | None, trainings: S
 FORMAT = "onebend-model"
 VERSION = 9
 # versions: 1 had no `uncertain`, 2 no `damping`, 3 no checksum, 4 no `section`, 5 no `offset`, 6 no `shared_mean` and
-# `discrepancy` in `bench`, 7 no `setup`, 8 one whose force error
-# went with the tags' displacement: it is not read, and predictions are those of a new set-up
+# `discrepancy` in `bench`, 7 no `setup`, 8 one whose force error went with the tags'
+# displacement: it is not read, and predictions are those of k(s) alone
 READABLE = (1, 2, 3, 4, 5, 6, 7, 8, 9)
 _OF_PLACES = 9  # the first version whose set-up's force error goes with the place of the push
 _OLD_SETUP = (

@@ -21,7 +21,7 @@ from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Posterior
 from onebend.learning.run import Run
 from onebend.learning.verdict import fitted_rms, possible, unseen_place
-from onebend.records import Array, Observations, marker_words
+from onebend.records import Array, Observations
 from onebend.report import confidence, sentences
 from onebend.report.pictures import FilmStrip
 from onebend.report.sentences import all_remarks, millimetres, posture_words, significant, words
@@ -296,7 +296,7 @@ def _content(findings: Run) -> dict[str, Any]:
         "modulus": confidence.modulus_rows(confidence.measured_beam(findings), np.linspace(0.0, 1.0, 11)),
         "modulus_words": confidence.modulus_words(confidence.measured_beam(findings)),
         "one_modulus": bool(confidence.one_modulus_words(confidence.measured_beam(findings))),
-        "tags": [marker_words(int(i), float(s)) for i, s in zip(logged.tag_id, logged.marker_s, strict=True)],
+        "tags": [sentences.tag_words(logged, i) for i in range(len(logged.tag_id))],
         "swings": _frequency_rows(findings.posterior),
         "only_swings": sentences.only_frequencies(findings.recordings),
         "trainings": [_comparison_row(comparison) for comparison in findings.trainings],
