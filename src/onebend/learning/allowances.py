@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -17,7 +18,7 @@ from onebend.beam.setup import MOST_REACHED, posture_terms
 from onebend.beam.stiffness import Profile, RectangularSection, Uniform
 from onebend.errors import LearningError
 from onebend.learning.frames import push_places
-from onebend.recording.camera import camera_place
+from onebend.recording.camera import HEIGHT_SD, PRINT_SD, camera_place
 from onebend.records import Array, BoolArray, Observations, PointMass, View, tags_among
 
 # Where an allowance enters the model, and what its `basis` is there. F frames, Q nodes, m tags, n parameters:
@@ -459,7 +460,6 @@ def patches(course: PushCourse) -> Allowance | None:
 # foot, by `z / D` times its distance from there, D being the camera's height. Errors of the plane, focal length and
 # lens move all tags of all frames together.
 
-HEIGHT_SD = 2e-3  # m, of each tag over the plane of all
 READOUT_SD = 0.015  # s, from the picture's first row to its last
 _STEP = 1e-4  # m, to either side of a place, for the slope of a row
 _SMALL = np.finfo(float).tiny
@@ -476,7 +476,9 @@ def heights(observations: Observations, measured: Array) -> Allowance:
     elif not tags.all():  # then all stand in the order of their places
         functions = np.stack([np.interp(o.marker_s, o.marker_s[tags], one) for one in np.eye(len(labels))], axis=1)
     basis = _lifted(o, measured, functions)
-    free = Allowance("heights", "poses", "m", tuple(labels), np.full(len(labels), HEIGHT_SD), basis, shared=True)
+    # What the tags' sizes in the picture leave open; the rest is subtracted (`recording.camera.lowered`).
+    sd = np.full(len(labels), 1.0 / math.hypot(1.0 / HEIGHT_SD, 1.0 / (PRINT_SD * camera_place(_view(o))[1])))
+    free = Allowance("heights", "poses", "m", tuple(labels), sd, basis, shared=True)
     return replace(free, sizes=TOLERATED, together=True)
 
 

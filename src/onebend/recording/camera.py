@@ -12,14 +12,14 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial.transform import Rotation
 
 from onebend.errors import ObservationError, RecordingError
-from onebend.recording.entries import CameraEntry, Recording, TagEntry
+from onebend.recording.entries import CameraEntry, Recording, TagEntry, TagsEntry
 from onebend.recording.signals import running_median
-from onebend.records import POINT_ID, Array, BoolArray, Detections, Markers, OutlineTrack, Remark, View
+from onebend.records import POINT_ID, Array, BoolArray, Detections, IntArray, Markers, OutlineTrack, Remark, View
 
 
-def project(view: View, xy: Array) -> Array:
-    """Pixels (..., 2) of points `xy` (..., 2) [m] of the plane."""
-    inside = xy @ view.rotation[:, :2].T + view.translation
+def project(view: View, points: Array) -> Array:
+    """Pixels (..., 2) of points (..., 2) [m] of the plane, or (..., 3) with their heights towards the camera."""
+    inside = points @ view.rotation[:, : points.shape[-1]].T + view.translation
     ray = inside[..., :2] / inside[..., 2:]
     return distort(ray, view.dist) @ view.matrix[:2, :2].T + view.matrix[:2, 2]
 
@@ -63,7 +63,8 @@ def undistort(distorted: Array, dist: Array) -> Array:
 
 # The view of the tags' plane. For a trial camera and plane every sighting is projected into the plane, and a square of
 # the known size is fitted in closed form. The residuals are its corners' distances from the detected ones, px. Three
-# numbers (tilt, tilt, distance) are fitted; seven without calibration (focal length, one lens term, principal point).
+# numbers (tilt, tilt, distance) are fitted; seven without calibration (focal length, one lens term, principal point);
+# and four for each tag, for no real tag lies exactly in the plane or is printed exactly: height, two slopes, size.
 
 # The plane's axes when it faces the camera: x right, y up, z towards the camera.
 FACING: Array = np.diag([1.0, -1.0, -1.0])
@@ -74,6 +75,12 @@ PLAIN_FOCAL = 1.0  # focal length over the picture's longer side
 FOCAL_SD = 0.5  # of its logarithm
 LENS_SD = 0.1  # k1
 CENTRE_SD = 0.02  # principal point off the picture's middle, over the longer side
+# Of each tag against the plane, one sd: glued to a body by hand.
+HEIGHT_SD = 2e-3  # m
+SLOPE_SD = 0.03  # rad, about each of its axes
+STEEPEST = 0.35  # rad: tags more tilted are no squares in a plane
+PRINT_SD = 3e-3  # of a tag's size: an edge is rounded to the printer's dots
+LYING_SD: Array = np.array([HEIGHT_SD, SLOPE_SD, SLOPE_SD, PRINT_SD])
 NORMAL_MEDIAN = 0.67449  # median of |x|, x normal with unit variance
 DEGREES_OF_FREEDOM = 5  # a tag's eight coordinates less the three of its pose
 LEAST_NOISE, MOST_NOISE = 1e-6, 0.1  # of a corner: px, and in sides of a tag
@@ -84,8 +91,8 @@ OUT_OF_SIGHT = 1e3  # px, residual of a corner that a trial camera cannot see
 class PlaneFit:
     """The fitted unknowns and their covariance."""
 
-    unknowns: Array  # (3,) or (7,), see `view_from`
-    covariance: Array  # of the unknowns
+    unknowns: Array  # (3 + 4 m,) or (7 + 4 m,), see `view_from`
+    covariance: Array  # of those of plane and camera, whatever the tags'
     camera: CameraEntry | None
     picture: tuple[int, int]
 
@@ -97,30 +104,65 @@ class PlaneFit:
         """Views one standard deviation away along each principal direction of the unknowns' uncertainty."""
         variance, direction = np.linalg.eigh(self.covariance)
         shifts = direction * np.sqrt(np.maximum(variance, 0.0))
-        return [view_from(self.unknowns + shift, self.camera, self.picture) for shift in shifts.T]
+        known = np.pad(shifts.T, ((0, 0), (0, len(self.unknowns) - len(variance))))
+        return [view_from(self.unknowns + shift, self.camera, self.picture) for shift in known]
 
 
 def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: tuple[int, int]) -> PlaneFit:
     """Camera and plane that make all sightings squares of the known size.
 
-    The frame has its origin on the optical axis and x towards the picture's right. `corners` (K, 4, 2) px are finite,
-    in the order of `records.Detections`; `size` [m] is the tags' side, `camera` None without calibration, `picture` px.
+    The frame has its origin on the optical axis and x towards the picture's right. `corners` (T, m, 4, 2) px are in the
+    order of `records.Detections`, NaN where a tag was not seen; `size` [m] is the tags' side, `camera` None without
+    calibration, `picture` px.
     """
+    seen = np.isfinite(corners).all(axis=(2, 3))
+    tag, corners = np.nonzero(seen)[1], corners[seen]
     side_px = float(np.median(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)))
     focal = camera.fx if camera else PLAIN_FOCAL * max(picture)
-    few = corners[:: max(1, len(corners) // 60)]  # sightings, evenly chosen, with which the starts are improved
-    tries = [
-        solve(start, few, size, camera, picture, sd=1.0)
-        for start in starts(math.log(focal * size / side_px), camera is None)
-    ]
+    few = slice(None, None, max(1, len(corners) // 60))  # sightings, evenly chosen, that improve the starts
+    count, bare = seen.shape[1], 3 if camera else 7
+
+    def solved(start: Array, chosen: slice, sd: float) -> OptimizeResult:
+        """Robust least squares of `residuals`; `sd` is the corners' noise, px."""
+
+        def left(unknowns: Array) -> Array:
+            return residuals(unknowns, corners[chosen], tag[chosen], size, camera, picture, sd=sd)
+
+        own = np.concatenate([np.repeat(tag[chosen], 8), np.full(bare, -1), np.repeat(np.arange(count), 4)])
+
+        def slopes(unknowns: Array) -> Array:
+            """By differences; a tag's own unknowns move its own corners alone, so that all tags move at once."""
+            before, step = left(unknowns), np.sqrt(np.finfo(float).eps)
+            jacobian = np.zeros((len(before), len(unknowns)))
+            for i in range(bare):
+                jacobian[:, i] = (left(unknowns + step * np.eye(len(unknowns))[i]) - before) / step
+            for kind in range(4):
+                moved = np.zeros(len(unknowns))
+                moved[bare + kind :: 4] = step
+                change = (left(unknowns + moved) - before) / step
+                jacobian[:, bare + kind :: 4] = change[:, None] * (own[:, None] == np.arange(count))
+            return jacobian
+
+        return least_squares(
+            left,
+            start,
+            jac=slopes,
+            loss="soft_l1",
+            f_scale=3.0,  # sd: larger residuals have less weight (soft L1)
+            x_scale="jac",
+        )
+
+    tries = [solved(start, few, 1.0) for start in starts(math.log(focal * size / side_px), camera is None, count)]
     best = min(tries, key=lambda fit: float(fit.cost))
-    rough = float(np.median(np.abs(best.fun[: few.size]))) / NORMAL_MEDIAN * math.sqrt(8 / DEGREES_OF_FREEDOM)
+    rough = float(np.median(np.abs(best.fun[: corners[few].size]))) / NORMAL_MEDIAN * math.sqrt(8 / DEGREES_OF_FREEDOM)
     sd = max(rough, LEAST_NOISE)
-    final = solve(solve(best.x, few, size, camera, picture, sd=sd).x, corners, size, camera, picture, sd=sd)
+    final = solved(solved(best.x, few, sd).x, slice(None), sd)
     normal = final.jac.T @ final.jac
     known = np.linalg.cond(normal) < 1 / np.finfo(float).eps
-    fit = PlaneFit(final.x, np.linalg.inv(normal) if known else np.full_like(normal, np.nan), camera, picture)
-    if not known or not np.isfinite(to_plane(fit.view, corners)).all() or rough > MOST_NOISE * side_px:
+    covariance = np.linalg.inv(normal)[:bare, :bare] if known else np.full((bare, bare), np.nan)
+    fit = PlaneFit(final.x, covariance, camera, picture)
+    steep = np.abs(fit.view.lying[:, 1:3]).max() > STEEPEST
+    if not known or steep or not np.isfinite(to_plane(fit.view, corners)).all() or rough > MOST_NOISE * side_px:
         raise ObservationError(
             "No flat plane in front of the camera explains the tags' shapes. Check size_m and [camera] in "
             "recording.toml, and that all tags lie flat in one plane.",
@@ -129,48 +171,47 @@ def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: 
     return fit
 
 
-def starts(log_distance: float, uncalibrated: bool) -> list[Array]:
+def starts(log_distance: float, uncalibrated: bool, tags: int) -> list[Array]:
     """First guesses: facing the camera, and tilted each way."""
     none, tilt = TILTS
     tilts = [(none, none), (tilt, none), (-tilt, none), (none, tilt), (none, -tilt)]
-    return [np.array([a, b, log_distance, *([0.0] * 4 if uncalibrated else [])]) for a, b in tilts]
-
-
-def solve(
-    start: Array, corners: Array, size: float, camera: CameraEntry | None, picture: tuple[int, int], *, sd: float
-) -> OptimizeResult:
-    """Robust least squares of `residuals` from `start`; `sd` is the corners' noise, px."""
-    return least_squares(
-        lambda unknowns: residuals(unknowns, corners, size, camera, picture, sd=sd),
-        start,
-        loss="soft_l1",
-        f_scale=3.0,  # sd: larger residuals have less weight (soft L1)
-        x_scale="jac",
-    )
+    rest = [0.0] * (4 * uncalibrated + 4 * tags)
+    return [np.array([a, b, log_distance, *rest]) for a, b in tilts]
 
 
 def residuals(
-    unknowns: Array, corners: Array, size: float, camera: CameraEntry | None, picture: tuple[int, int], *, sd: float
+    unknowns: Array,
+    corners: Array,
+    tag: IntArray,
+    size: float,
+    camera: CameraEntry | None,
+    picture: tuple[int, int],
+    *,
+    sd: float,
 ) -> Array:
     """Detected corners less those of the fitted squares, and the unknowns, each divided by its sd."""
-    view = view_from(unknowns, camera, picture)
-    flat = to_plane(view, corners)
-    xy, angle = lay_square(flat)
-    residual = (corners - project(view, square(xy, angle, size))) / sd
+    view, bare = view_from(unknowns, camera, picture), 3 if camera else 7
+    lying, seen_at = view.lying[tag], lay_square(to_plane(view, corners))
+    xy, angle = seen_at
+    for _ in range(2):  # the closed form is of tags in the plane: corrected by what it makes of the model's own corners
+        again = lay_square(to_plane(view, project_tags(view, xy, angle, size, lying)))
+        xy, angle = xy + seen_at[0] - again[0], angle + seen_at[1] - again[1]
+    residual = (corners - project_tags(view, xy, angle, size, lying)) / sd
     residual = np.nan_to_num(residual, nan=OUT_OF_SIGHT, posinf=OUT_OF_SIGHT, neginf=-OUT_OF_SIGHT)
-    wide = np.array([TILT_SD, TILT_SD, np.inf, FOCAL_SD, LENS_SD, CENTRE_SD, CENTRE_SD])
-    return np.concatenate([residual.ravel(), unknowns / wide[: len(unknowns)]])
+    wide = np.array([TILT_SD, TILT_SD, np.inf, FOCAL_SD, LENS_SD, CENTRE_SD, CENTRE_SD])[:bare]
+    return np.concatenate([residual.ravel(), unknowns[:bare] / wide, unknowns[bare:]])
 
 
 def view_from(unknowns: Array, camera: CameraEntry | None, picture: tuple[int, int]) -> View:
     """The unknowns as a view: two tilts [rad], log distance [log m]; then, where the camera is not calibrated, log of
-    the focal length over its plain value, k1, and the principal point's shift over the longer side."""
+    the focal length over its plain value, k1, and the principal point's shift over the longer side; and of each tag the
+    four of `View.lying` over their sds."""
     tilt_x, tilt_y, log_distance = unknowns[:3]
     if camera:
         matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
         dist = np.array([*camera.dist, 0.0][:5])
     else:
-        log_focal, k1, shift_x, shift_y = unknowns[3:]
+        log_focal, k1, shift_x, shift_y = unknowns[3:7]
         long, (width, height) = max(picture), picture
         focal = PLAIN_FOCAL * long * math.exp(log_focal)
         centre = (width - 1) / 2 + shift_x * long, (height - 1) / 2 + shift_y * long
@@ -183,7 +224,27 @@ def view_from(unknowns: Array, camera: CameraEntry | None, picture: tuple[int, i
         translation=np.array([0.0, 0.0, math.exp(log_distance)]),
         calibrated=camera is not None,
         corner_sd=math.nan,
+        lying=unknowns[3 if camera else 7 :].reshape(-1, 4) * LYING_SD,
     )
+
+
+def project_tags(view: View, xy: Array, angle: Array, size: float, lying: Array) -> Array:
+    """Pixels (..., 4, 2) of the corners of tags over `xy` (..., 2) of the plane, turned by `angle` (...).
+
+    `lying` (..., 4) as `View.lying`; `size` m.
+    """
+    own = square(np.zeros(2), np.zeros(()), size) * (1.0 + lying[..., None, 3:])
+    rise = own @ lying[..., 1:3, None]
+    flat = own - 0.5 * rise * lying[..., None, 1:3]  # shorter by the cosine
+    corners = rotated(flat, angle[..., None]) + xy[..., None, :]
+    height = np.broadcast_to(lying[..., None, :1] + rise, (*corners.shape[:-1], 1))
+    return project(view, np.concatenate([corners, height], axis=-1))
+
+
+def lowered(view: View, xy: Array, height: Array | float) -> Array:
+    """Places (..., 2) [m] of points that are seen at `xy` (..., 2) of the plane and lie `height` (...) [m] over it."""
+    foot, distance = camera_place(view)
+    return np.asarray(foot + (xy - foot) * (1.0 - np.asarray(height)[..., None] / distance))
 
 
 def square(xy: Array, angle: Array, size: float) -> Array:
@@ -230,19 +291,25 @@ def part(poses: Poses, tags: slice) -> Poses:
 
 
 def measure_poses(
-    view: View, corners: Array, size: float, *, noise: float | None = None, refinements: int = 3
+    view: View,
+    corners: Array,
+    size: float,
+    *,
+    noise: float | None = None,
+    refinements: int = 3,
 ) -> tuple[Poses, Array, View]:
     """Pose of each sighting in the plane, its misfit (RMS residual, px), and the view with the corners' noise.
 
     The noise is that of the residuals, or `noise` [px, one sd]. Generalised least squares by Gauss-Newton on the eight
     coordinates of each tag; `corners` (T, m, 4, 2) px, NaN stays NaN."""
     xy, angle = lay_square(to_plane(view, corners))
+    lying = view.lying if len(view.lying) else np.zeros((corners.shape[-3], 4))
     weight = corner_weight(corners)
     for _ in range(refinements):
-        jacobian, residual = linearise(view, xy, angle, corners, size)
+        jacobian, residual = linearise(view, xy, angle, corners, size, lying)
         step = weighted_step(jacobian, residual, weight)
         xy, angle = xy + step[..., :2], angle + step[..., 2]
-    jacobian, residual = linearise(view, xy, angle, corners, size)
+    jacobian, residual = linearise(view, xy, angle, corners, size, lying)
     squares = np.einsum("...i,...ij,...j->...", residual, weight, residual)
     sd = float(np.sqrt(np.nanmedian(squares) / MEDIAN_CHI2)) if noise is None else noise
     variance = np.maximum(squares / DEGREES_OF_FREEDOM, sd**2)
@@ -286,12 +353,12 @@ def corner_weight(corners: Array) -> Array:
     return np.asarray(np.linalg.inv(covariance))
 
 
-def linearise(view: View, xy: Array, angle: Array, corners: Array, size: float) -> tuple[Array, Array]:
+def linearise(view: View, xy: Array, angle: Array, corners: Array, size: float, lying: Array) -> tuple[Array, Array]:
     """Jacobian (..., 8, 3) of the projected corners by (x, y, angle), and the residual (..., 8) of `corners`, px."""
 
     def projected(dx: float = 0.0, dy: float = 0.0, turn: float = 0.0) -> Array:
-        flat = project(view, square(xy + np.array([dx, dy]), angle + turn, size))
-        return flat.reshape(*flat.shape[:-2], 8)
+        seen = project_tags(view, xy + np.array([dx, dy]), angle + turn, size, lying)
+        return seen.reshape(*seen.shape[:-2], 8)
 
     columns = [(projected(**{name: STEP}) - projected(**{name: -STEP})) / (2 * STEP) for name in ("dx", "dy", "turn")]
     return np.stack(columns, axis=-1), corners.reshape(*corners.shape[:-2], 8) - projected()
@@ -466,7 +533,8 @@ def measure_markers(detections: Detections, description: Recording, outline: Out
     first = int(np.flatnonzero(np.isfinite(origin.angle))[0])
     s, tag_id, traced = np.array([tag.s for tag in tags.on_beam]), detections.tag_id[base:], None
     if outline is not None:
-        points = relative_to(origin, points_in_plane(plane.view, outline))
+        height = height_along(view, description.tags, outline.s)
+        points = relative_to(origin, points_in_plane(view, outline, height))
         pairs = zip(_fields(relative), _fields(points), strict=True)
         relative = Poses(*(np.concatenate(both, axis=1) for both in pairs))
         traced = np.arange(len(s) + len(outline.s)) >= len(s)
@@ -488,7 +556,7 @@ def measure_markers(detections: Detections, description: Recording, outline: Out
             *motion_remarks(origin, moving, description.gravity is not None),
             *(() if outline is None else outline.remarks),
         ),
-        by_camera=by_camera(plane, detections.corners, base, outline)[:, order],
+        by_camera=by_camera(plane, detections.corners, base, None if outline is None else (outline, height))[:, order],
         traced=None if traced is None else traced[order],
     )
 
@@ -497,13 +565,21 @@ def _fields(poses: Poses) -> tuple[Array, Array, Array]:
     return poses.xy, poses.angle, poses.covariance
 
 
-def points_in_plane(view: View, outline: OutlineTrack) -> Poses:
+def height_along(view: View, tags: TagsEntry, s: Array) -> Array:
+    """(n,) m over the plane, at places `s` (n,) of the body: as high as the tags beside; without tags on it in the
+    plane."""
+    on_beam = sorted(zip((tag.s for tag in tags.on_beam), view.lying[len(tags.on_base) :, 0].tolist(), strict=True))
+    return np.interp(s, *np.transpose(on_beam)) if on_beam else np.zeros(len(s))
+
+
+def points_in_plane(view: View, outline: OutlineTrack, height: Array | float = 0.0) -> Poses:
     """The outline's points (T, n), without a place where they were not seen: alike in all directions, as only what is
-    across the curve counts. Their angle is the curve's, no measurement of its own."""
+    across the curve counts. Their angle is the curve's, no measurement of its own. `height` (n,) m over the plane."""
     along = outline.ahead - outline.px
     length = np.linalg.norm(along, axis=-1, keepdims=True)
     across = np.stack([-along[..., 1], along[..., 0]], axis=-1) / length
-    xy, ahead, beside = (to_plane(view, px) for px in (outline.px, outline.ahead, outline.px + across))
+    seen_at = (outline.px, outline.ahead, outline.px + across)
+    xy, ahead, beside = (lowered(view, to_plane(view, px), height) for px in seen_at)
     sd = outline.sd * np.linalg.norm(beside - xy, axis=-1)
     turn = sd / np.linalg.norm(ahead - xy, axis=-1)
     covariance = np.stack([sd, sd, turn], axis=-1)[..., None] ** 2 * np.eye(3)
@@ -521,7 +597,7 @@ def check_picture(detections: Detections, camera: CameraEntry | None) -> None:
 
 
 def spread(corners: Array) -> Array:
-    """Sightings (K, 4, 2) of frames spread evenly over the tags' travel, in which a rest has a small weight."""
+    """Sightings (T, m, 4, 2) of frames spread evenly over the tags' travel, in which a rest has a small weight."""
     centre = corners.mean(axis=2)
     travel = np.nan_to_num(np.linalg.norm(np.diff(centre, axis=0), axis=-1)).sum(axis=1)
     # Of the mean travel per frame: a frame without travel counts as this.
@@ -530,11 +606,10 @@ def spread(corners: Array) -> Array:
         # Frames for the fit of the plane, spread evenly over the tags' travel.
         np.searchsorted(travelled, np.linspace(0, travelled[-1], min(150, len(travelled))))
     )
-    chosen = corners[frames].reshape(-1, 4, 2)
-    return chosen[np.isfinite(chosen).all(axis=(1, 2))]
+    return corners[frames]
 
 
-def by_camera(plane: PlaneFit, corners: Array, base: int, outline: OutlineTrack | None = None) -> Array:
+def by_camera(plane: PlaneFit, corners: Array, base: int, outline: tuple[OutlineTrack, Array] | None = None) -> Array:
     """(T, m, 3, n) m, m, rad: how the poses of the beam's tags, and then of the outline's points, relative to the first
     base tag move with one sd of each of the n unknowns of the plane and, without a calibration, of the camera. A hidden
     base counts as where it was seen nearest in time; zero for tags that were not seen."""
@@ -543,7 +618,7 @@ def by_camera(plane: PlaneFit, corners: Array, base: int, outline: OutlineTrack 
     def relative(view: View) -> Array:
         xy, angle = lay_square(to_plane(view, corners))
         if outline is not None:
-            points = points_in_plane(view, outline)
+            points = points_in_plane(view, *outline)
             xy, angle = np.concatenate([xy, points.xy], axis=1), np.concatenate([angle, points.angle], axis=1)
         none = np.zeros((*angle.shape, 3, 3))
         own = relative_to(Poses(xy[:, :1], angle[:, :1], none[:, :1]), Poses(xy[:, 1:], angle[:, 1:], none[:, 1:]))
