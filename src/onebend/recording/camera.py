@@ -78,12 +78,13 @@ CENTRE_SD = 0.02  # principal point off the picture's middle, over the longer si
 # Of each tag against the plane, one sd: glued to a body by hand.
 HEIGHT_SD = 2e-3  # m
 SLOPE_SD = 0.03  # rad, about each of its axes
-STEEPEST = 0.35  # rad: tags more tilted are no squares in a plane
+STEEPEST = 0.35  # rad: tags that are tilted by more are no squares in a plane
 PRINT_SD = 3e-3  # of a tag's size: an edge is rounded to the printer's dots
 LYING_SD: Array = np.array([HEIGHT_SD, SLOPE_SD, SLOPE_SD, PRINT_SD])
 NORMAL_MEDIAN = 0.67449  # median of |x|, x normal with unit variance
 DEGREES_OF_FREEDOM = 5  # a tag's eight coordinates less the three of its pose
 LEAST_NOISE, MOST_NOISE = 1e-6, 0.1  # of a corner: px, and in sides of a tag
+FARTHEST_LOG = 50.0  # a search that goes on beyond ends in no number
 OUT_OF_SIGHT = 1e3  # px, residual of a corner that a trial camera cannot see
 
 
@@ -161,8 +162,7 @@ def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: 
     known = np.linalg.cond(normal) < 1 / np.finfo(float).eps
     covariance = np.linalg.inv(normal)[:bare, :bare] if known else np.full((bare, bare), np.nan)
     fit = PlaneFit(final.x, covariance, camera, picture)
-    steep = np.abs(fit.view.lying[:, 1:3]).max() > STEEPEST
-    if not known or steep or not np.isfinite(to_plane(fit.view, corners)).all() or rough > MOST_NOISE * side_px:
+    if not known or steep(fit.view).all() or not np.isfinite(to_plane(fit.view, corners)).all() or rough > MOST_NOISE * side_px:
         raise ObservationError(
             "No flat plane in front of the camera explains the tags' shapes. Check size_m and [camera] in "
             "recording.toml, and that all tags lie flat in one plane.",
@@ -177,6 +177,11 @@ def starts(log_distance: float, uncalibrated: bool, tags: int) -> list[Array]:
     tilts = [(none, none), (tilt, none), (-tilt, none), (none, tilt), (none, -tilt)]
     rest = [0.0] * (4 * uncalibrated + 4 * tags)
     return [np.array([a, b, log_distance, *rest]) for a, b in tilts]
+
+
+def steep(view: View) -> BoolArray:
+    """(m,) tags that are seen tilted as no tag is that lies in the plane."""
+    return np.asarray(np.abs(view.lying[:, 1:3]).max(axis=1) > STEEPEST)
 
 
 def residuals(
@@ -213,7 +218,7 @@ def view_from(unknowns: Array, camera: CameraEntry | None, picture: tuple[int, i
     else:
         log_focal, k1, shift_x, shift_y = unknowns[3:7]
         long, (width, height) = max(picture), picture
-        focal = PLAIN_FOCAL * long * math.exp(log_focal)
+        focal = PLAIN_FOCAL * long * math.exp(min(log_focal, FARTHEST_LOG))
         centre = (width - 1) / 2 + shift_x * long, (height - 1) / 2 + shift_y * long
         matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1.0]])
         dist = np.array([k1, 0.0, 0.0, 0.0, 0.0])
@@ -221,7 +226,7 @@ def view_from(unknowns: Array, camera: CameraEntry | None, picture: tuple[int, i
         matrix=matrix,
         dist=dist,
         rotation=Rotation.from_rotvec([tilt_x, tilt_y, 0.0]).as_matrix() @ FACING,
-        translation=np.array([0.0, 0.0, math.exp(log_distance)]),
+        translation=np.array([0.0, 0.0, math.exp(min(log_distance, FARTHEST_LOG))]),
         calibrated=camera is not None,
         corner_sd=math.nan,
         lying=unknowns[3 if camera else 7 :].reshape(-1, 4) * LYING_SD,
@@ -518,7 +523,7 @@ def measure_markers(detections: Detections, description: Recording, outline: Out
     poses, misfit, view = measure_poses(plane.view, detections.corners, tags.size)
     # sd: a tag whose corners are further (RMS) from any square in the plane is not used.
     # px, least noise of the corners for that test.
-    wrong = misfit > 10.0 * max(view.corner_sd, 0.02)
+    wrong = (misfit > 10.0 * max(view.corner_sd, 0.02)) | (steep(view) & np.isfinite(misfit))
     poses = drop(poses, wrong)
     poses = replace(poses, angle=poses.angle - np.array([tag.turn for tag in (*tags.on_base, *tags.on_beam)]))
     if not np.isfinite(poses.angle[:, :base]).any():

@@ -263,7 +263,7 @@ def test_calibration_of_another_picture_is_refused() -> None:
 
 def test_tags_that_are_no_squares_in_a_plane_are_refused() -> None:
     corners = corners_of(TRUE, SEEN)
-    corners[:, :, 0, 0] += 12.0
+    corners[:, :, 0, 0] += 16.0
     with pytest.raises(ObservationError, match="No flat plane"):
         measure_markers(detections(corners), recording(calibrated=SEEN))
 
