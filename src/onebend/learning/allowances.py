@@ -477,7 +477,8 @@ def heights(observations: Observations, measured: Array) -> Allowance:
         functions = np.stack([np.interp(o.marker_s, o.marker_s[tags], one) for one in np.eye(len(labels))], axis=1)
     basis = _lifted(o, measured, functions)
     # What the tags' sizes in the picture leave open; the rest is subtracted (`recording.camera.lowered`).
-    sd = np.full(len(labels), 1.0 / math.hypot(1.0 / HEIGHT_SD, 1.0 / (PRINT_SD * camera_place(_view(o))[1])))
+    by_size = PRINT_SD / (math.sqrt(2.0) * o.stated.tag_size) * camera_place(_view(o))[1]
+    sd = np.full(len(labels), 1.0 / math.hypot(1.0 / HEIGHT_SD, 1.0 / by_size))
     free = Allowance("heights", "poses", "m", tuple(labels), sd, basis, shared=True)
     return replace(free, sizes=TOLERATED, together=True)
 

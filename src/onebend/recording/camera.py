@@ -64,7 +64,7 @@ def undistort(distorted: Array, dist: Array) -> Array:
 # The view of the tags' plane. For a trial camera and plane every sighting is projected into the plane, and a square of
 # the known size is fitted in closed form. The residuals are its corners' distances from the detected ones, px. Three
 # numbers (tilt, tilt, distance) are fitted; seven without calibration (focal length, one lens term, principal point);
-# and four for each tag, for no real tag lies exactly in the plane or is printed exactly: height, two slopes, size.
+# and eleven for each tag, for no real tag lies exactly in the plane or is printed exactly: height, two slopes, corners.
 
 # The plane's axes when it faces the camera: x right, y up, z towards the camera.
 FACING: Array = np.diag([1.0, -1.0, -1.0])
@@ -78,11 +78,16 @@ CENTRE_SD = 0.02  # principal point off the picture's middle, over the longer si
 # Of each tag against the plane, one sd: glued to a body by hand.
 HEIGHT_SD = 2e-3  # m
 SLOPE_SD = 0.03  # rad, about each of its axes
-STEEPEST = 0.35  # rad: tags that are tilted by more are no squares in a plane
-PRINT_SD = 3e-3  # of a tag's size: an edge is rounded to the printer's dots
-LYING_SD: Array = np.array([HEIGHT_SD, SLOPE_SD, SLOPE_SD, PRINT_SD])
+STEEPEST, MOST_OFF = 0.35, 10.0  # rad, and sd of a corner: tags that are farther off are no squares in a plane
+PRINT_SD = 2e-5  # m, of a corner: an edge is rounded to the printer's dots, of 0.04 to 0.08 mm
+LYING_SD: Array = np.array([HEIGHT_SD, SLOPE_SD, SLOPE_SD, *[PRINT_SD] * 8])
 NORMAL_MEDIAN = 0.67449  # median of |x|, x normal with unit variance
 DEGREES_OF_FREEDOM = 5  # a tag's eight coordinates less the three of its pose
+ROUGH = math.sqrt(8 / DEGREES_OF_FREEDOM) / NORMAL_MEDIAN  # sd of a corner over the median size of its residual
+# What no lens model holds distorts a tag by this share of its side, alike in a part of the picture: it does not average
+# out over the sightings there. A good calibration leaves 0.1 to 0.3 px in a picture of 1000 px.
+FIELD_ERROR = 5e-4
+ZONES = 12  # such parts, of all that the tags move through
 LEAST_NOISE, MOST_NOISE = 1e-6, 0.1  # of a corner: px, and in sides of a tag
 FARTHEST_LOG = 50.0  # a search that goes on beyond ends in no number
 OUT_OF_SIGHT = 1e3  # px, residual of a corner that a trial camera cannot see
@@ -92,8 +97,8 @@ OUT_OF_SIGHT = 1e3  # px, residual of a corner that a trial camera cannot see
 class PlaneFit:
     """The fitted unknowns and their covariance."""
 
-    unknowns: Array  # (3 + 4 m,) or (7 + 4 m,), see `view_from`
-    covariance: Array  # of those of plane and camera, whatever the tags'
+    unknowns: Array  # (3 + 11 m,) or (7 + 11 m,), see `view_from`
+    covariance: Array  # of all
     camera: CameraEntry | None
     picture: tuple[int, int]
 
@@ -102,11 +107,29 @@ class PlaneFit:
         return view_from(self.unknowns, self.camera, self.picture)
 
     def variations(self) -> list[View]:
-        """Views one standard deviation away along each principal direction of the unknowns' uncertainty."""
-        variance, direction = np.linalg.eigh(self.covariance)
-        shifts = direction * np.sqrt(np.maximum(variance, 0.0))
-        known = np.pad(shifts.T, ((0, 0), (0, len(self.unknowns) - len(variance))))
-        return [view_from(self.unknowns + shift, self.camera, self.picture) for shift in known]
+        """Views one standard deviation away along each principal direction of the uncertainty of camera, plane and the
+        tags' heights."""
+        count = 3 if self.camera else 7
+        some = np.concatenate([np.arange(count), np.arange(count, len(self.unknowns), len(LYING_SD))])
+        variance, direction = np.linalg.eigh(self.covariance[np.ix_(some, some)])
+        shifts = np.zeros((len(some), len(self.unknowns)))
+        shifts[:, some] = (direction * np.sqrt(np.maximum(variance, 0.0))).T
+        return [view_from(self.unknowns + shift, self.camera, self.picture) for shift in shifts]
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """What plane and camera are fitted to: K sightings of tags."""
+
+    corners: Array  # (K, 4, 2) px
+    tag: IntArray  # (K,) which of the tags
+    size: float  # m
+    camera: CameraEntry | None
+    picture: tuple[int, int]  # px
+    sd: float  # px, noise of the corners
+
+    def every(self, step: int) -> Sightings:
+        return replace(self, corners=self.corners[::step], tag=self.tag[::step])
 
 
 def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: tuple[int, int]) -> PlaneFit:
@@ -116,53 +139,25 @@ def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: 
     order of `records.Detections`, NaN where a tag was not seen; `size` [m] is the tags' side, `camera` None without
     calibration, `picture` px.
     """
-    seen = np.isfinite(corners).all(axis=(2, 3))
-    tag, corners = np.nonzero(seen)[1], corners[seen]
-    side_px = float(np.median(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)))
+    shown = np.isfinite(corners).all(axis=(2, 3))
+    seen = Sightings(corners[shown], np.nonzero(shown)[1], size, camera, picture, 1.0)
+    side_px = float(np.median(np.linalg.norm(np.roll(seen.corners, -1, axis=1) - seen.corners, axis=2)))
     focal = camera.fx if camera else PLAIN_FOCAL * max(picture)
-    few = slice(None, None, max(1, len(corners) // 60))  # sightings, evenly chosen, that improve the starts
-    count, bare = seen.shape[1], 3 if camera else 7
-
-    def solved(start: Array, chosen: slice, sd: float) -> OptimizeResult:
-        """Robust least squares of `residuals`; `sd` is the corners' noise, px."""
-
-        def left(unknowns: Array) -> Array:
-            return residuals(unknowns, corners[chosen], tag[chosen], size, camera, picture, sd=sd)
-
-        own = np.concatenate([np.repeat(tag[chosen], 8), np.full(bare, -1), np.repeat(np.arange(count), 4)])
-
-        def slopes(unknowns: Array) -> Array:
-            """By differences; a tag's own unknowns move its own corners alone, so that all tags move at once."""
-            before, step = left(unknowns), np.sqrt(np.finfo(float).eps)
-            jacobian = np.zeros((len(before), len(unknowns)))
-            for i in range(bare):
-                jacobian[:, i] = (left(unknowns + step * np.eye(len(unknowns))[i]) - before) / step
-            for kind in range(4):
-                moved = np.zeros(len(unknowns))
-                moved[bare + kind :: 4] = step
-                change = (left(unknowns + moved) - before) / step
-                jacobian[:, bare + kind :: 4] = change[:, None] * (own[:, None] == np.arange(count))
-            return jacobian
-
-        return least_squares(
-            left,
-            start,
-            jac=slopes,
-            loss="soft_l1",
-            f_scale=3.0,  # sd: larger residuals have less weight (soft L1)
-            x_scale="jac",
-        )
-
-    tries = [solved(start, few, 1.0) for start in starts(math.log(focal * size / side_px), camera is None, count)]
-    best = min(tries, key=lambda fit: float(fit.cost))
-    rough = float(np.median(np.abs(best.fun[: corners[few].size]))) / NORMAL_MEDIAN * math.sqrt(8 / DEGREES_OF_FREEDOM)
-    sd = max(rough, LEAST_NOISE)
-    final = solved(solved(best.x, few, sd).x, slice(None), sd)
-    normal = final.jac.T @ final.jac
+    few = seen.every(max(1, len(seen.corners) // 60))
+    tries = [solve(start, few) for start in starts(math.log(focal * size / side_px), camera is None)]
+    found = min(tries, key=lambda fit: float(fit.cost))
+    start = np.append(found.x, np.zeros(corners.shape[1] * len(LYING_SD)))
+    for part in (few, seen):
+        rough = float(np.median(np.abs(found.fun[: few.corners.size]))) * few.sd * ROUGH
+        lasting = FIELD_ERROR * side_px * math.sqrt(len(part.corners) / ZONES)
+        few = replace(few, sd=math.hypot(max(rough, LEAST_NOISE), lasting))
+        found = solve(start, replace(part, sd=few.sd))
+        start = found.x
+    normal = found.jac.T @ found.jac
     known = np.linalg.cond(normal) < 1 / np.finfo(float).eps
-    covariance = np.linalg.inv(normal)[:bare, :bare] if known else np.full((bare, bare), np.nan)
-    fit = PlaneFit(final.x, covariance, camera, picture)
-    if not known or steep(fit.view).all() or not np.isfinite(to_plane(fit.view, corners)).all() or rough > MOST_NOISE * side_px:
+    fit = PlaneFit(found.x, np.linalg.inv(normal) if known else np.full_like(normal, np.nan), camera, picture)
+    in_front = np.isfinite(to_plane(fit.view, seen.corners)).all()
+    if not known or not in_front or misshapen(fit.view).all() or rough > MOST_NOISE * side_px:
         raise ObservationError(
             "No flat plane in front of the camera explains the tags' shapes. Check size_m and [camera] in "
             "recording.toml, and that all tags lie flat in one plane.",
@@ -171,46 +166,69 @@ def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: 
     return fit
 
 
-def starts(log_distance: float, uncalibrated: bool, tags: int) -> list[Array]:
+def starts(log_distance: float, uncalibrated: bool) -> list[Array]:
     """First guesses: facing the camera, and tilted each way."""
     none, tilt = TILTS
     tilts = [(none, none), (tilt, none), (-tilt, none), (none, tilt), (none, -tilt)]
-    rest = [0.0] * (4 * uncalibrated + 4 * tags)
-    return [np.array([a, b, log_distance, *rest]) for a, b in tilts]
+    return [np.array([a, b, log_distance, *([0.0] * 4 if uncalibrated else [])]) for a, b in tilts]
 
 
-def steep(view: View) -> BoolArray:
-    """(m,) tags that are seen tilted as no tag is that lies in the plane."""
-    return np.asarray(np.abs(view.lying[:, 1:3]).max(axis=1) > STEEPEST)
+def solve(start: Array, seen: Sightings) -> OptimizeResult:
+    """Robust least squares of `residuals` from `start`: of plane and camera with all tags like squares in the plane, or
+    with the tags' unknowns."""
+    return least_squares(
+        residuals,
+        start,
+        jac=slopes,
+        args=(seen,),
+        loss="soft_l1",
+        f_scale=3.0,  # sd: larger residuals have less weight (soft L1)
+        x_scale="jac",
+    )
 
 
-def residuals(
-    unknowns: Array,
-    corners: Array,
-    tag: IntArray,
-    size: float,
-    camera: CameraEntry | None,
-    picture: tuple[int, int],
-    *,
-    sd: float,
-) -> Array:
+def residuals(unknowns: Array, seen: Sightings) -> Array:
     """Detected corners less those of the fitted squares, and the unknowns, each divided by its sd."""
-    view, bare = view_from(unknowns, camera, picture), 3 if camera else 7
-    lying, seen_at = view.lying[tag], lay_square(to_plane(view, corners))
-    xy, angle = seen_at
-    for _ in range(2):  # the closed form is of tags in the plane: corrected by what it makes of the model's own corners
-        again = lay_square(to_plane(view, project_tags(view, xy, angle, size, lying)))
-        xy, angle = xy + seen_at[0] - again[0], angle + seen_at[1] - again[1]
-    residual = (corners - project_tags(view, xy, angle, size, lying)) / sd
+    view, bare = view_from(unknowns, seen.camera, seen.picture), 3 if seen.camera else 7
+    lying = view.lying[seen.tag] if len(view.lying) else np.zeros((len(seen.tag), len(LYING_SD)))
+    xy, angle = direct = lay_square(to_plane(view, seen.corners))
+    for _ in range(2):  # the closed form is of squares in the plane: corrected by what it makes of the model's corners
+        again = lay_square(to_plane(view, project_tags(view, xy, angle, seen.size, lying)))
+        xy, angle = xy + direct[0] - again[0], angle + direct[1] - again[1]
+    residual = (seen.corners - project_tags(view, xy, angle, seen.size, lying)) / seen.sd
     residual = np.nan_to_num(residual, nan=OUT_OF_SIGHT, posinf=OUT_OF_SIGHT, neginf=-OUT_OF_SIGHT)
     wide = np.array([TILT_SD, TILT_SD, np.inf, FOCAL_SD, LENS_SD, CENTRE_SD, CENTRE_SD])[:bare]
     return np.concatenate([residual.ravel(), unknowns[:bare] / wide, unknowns[bare:]])
 
 
+def slopes(unknowns: Array, seen: Sightings) -> Array:
+    """Jacobian of `residuals`, by differences. A tag's unknowns move its own corners alone: all tags move at once."""
+    bare, own, step = 3 if seen.camera else 7, len(LYING_SD), math.sqrt(np.finfo(float).eps)
+    of_tag = np.arange((len(unknowns) - bare) // own)
+    tag = np.concatenate([np.repeat(seen.tag, 8), np.full(bare, -1), np.repeat(of_tag, own)])
+    before = residuals(unknowns, seen)
+    jacobian = np.zeros((len(before), len(unknowns)))
+    for i in range(bare + own * (len(of_tag) > 0)):
+        moved = unknowns.copy()
+        moved[i if i < bare else slice(i, None, own)] += step
+        change = (residuals(moved, seen) - before) / step
+        if i < bare:
+            jacobian[:, i] = change
+        else:
+            jacobian[:, i::own] = change[:, None] * (tag[:, None] == of_tag)
+    return jacobian
+
+
+def misshapen(view: View) -> BoolArray:
+    """(m,) tags that no square in the plane explains: more tilted, or with corners farther off, than they may be."""
+    off = np.abs(view.lying / LYING_SD)
+    return np.asarray((off[:, 1:3].max(axis=1) * SLOPE_SD > STEEPEST) | (off[:, 3:].max(axis=1) > MOST_OFF))
+
+
 def view_from(unknowns: Array, camera: CameraEntry | None, picture: tuple[int, int]) -> View:
     """The unknowns as a view: two tilts [rad], log distance [log m]; then, where the camera is not calibrated, log of
     the focal length over its plain value, k1, and the principal point's shift over the longer side; and of each tag the
-    four of `View.lying` over their sds."""
+    eleven of `View.lying` over their sds."""
     tilt_x, tilt_y, log_distance = unknowns[:3]
     if camera:
         matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
@@ -229,16 +247,16 @@ def view_from(unknowns: Array, camera: CameraEntry | None, picture: tuple[int, i
         translation=np.array([0.0, 0.0, math.exp(min(log_distance, FARTHEST_LOG))]),
         calibrated=camera is not None,
         corner_sd=math.nan,
-        lying=unknowns[3 if camera else 7 :].reshape(-1, 4) * LYING_SD,
+        lying=unknowns[3 if camera else 7 :].reshape(-1, len(LYING_SD)) * LYING_SD,
     )
 
 
 def project_tags(view: View, xy: Array, angle: Array, size: float, lying: Array) -> Array:
     """Pixels (..., 4, 2) of the corners of tags over `xy` (..., 2) of the plane, turned by `angle` (...).
 
-    `lying` (..., 4) as `View.lying`; `size` m.
+    `lying` (..., 11) as `View.lying`; `size` m.
     """
-    own = square(np.zeros(2), np.zeros(()), size) * (1.0 + lying[..., None, 3:])
+    own = square(np.zeros(2), np.zeros(()), size) + lying[..., 3:].reshape(*lying.shape[:-1], 4, 2)
     rise = own @ lying[..., 1:3, None]
     flat = own - 0.5 * rise * lying[..., None, 1:3]  # shorter by the cosine
     corners = rotated(flat, angle[..., None]) + xy[..., None, :]
@@ -308,7 +326,7 @@ def measure_poses(
     The noise is that of the residuals, or `noise` [px, one sd]. Generalised least squares by Gauss-Newton on the eight
     coordinates of each tag; `corners` (T, m, 4, 2) px, NaN stays NaN."""
     xy, angle = lay_square(to_plane(view, corners))
-    lying = view.lying if len(view.lying) else np.zeros((corners.shape[-3], 4))
+    lying = view.lying if len(view.lying) else np.zeros((corners.shape[-3], len(LYING_SD)))
     weight = corner_weight(corners)
     for _ in range(refinements):
         jacobian, residual = linearise(view, xy, angle, corners, size, lying)
@@ -523,7 +541,7 @@ def measure_markers(detections: Detections, description: Recording, outline: Out
     poses, misfit, view = measure_poses(plane.view, detections.corners, tags.size)
     # sd: a tag whose corners are further (RMS) from any square in the plane is not used.
     # px, least noise of the corners for that test.
-    wrong = (misfit > 10.0 * max(view.corner_sd, 0.02)) | (steep(view) & np.isfinite(misfit))
+    wrong = (misfit > 10.0 * max(view.corner_sd, 0.02)) | (misshapen(view) & np.isfinite(misfit))
     poses = drop(poses, wrong)
     poses = replace(poses, angle=poses.angle - np.array([tag.turn for tag in (*tags.on_base, *tags.on_beam)]))
     if not np.isfinite(poses.angle[:, :base]).any():
@@ -561,7 +579,7 @@ def measure_markers(detections: Detections, description: Recording, outline: Out
             *motion_remarks(origin, moving, description.gravity is not None),
             *(() if outline is None else outline.remarks),
         ),
-        by_camera=by_camera(plane, detections.corners, base, None if outline is None else (outline, height))[:, order],
+        by_camera=by_camera(plane, detections.corners, description.tags, outline)[:, order],
         traced=None if traced is None else traced[order],
     )
 
@@ -614,16 +632,19 @@ def spread(corners: Array) -> Array:
     return corners[frames]
 
 
-def by_camera(plane: PlaneFit, corners: Array, base: int, outline: tuple[OutlineTrack, Array] | None = None) -> Array:
+def by_camera(plane: PlaneFit, corners: Array, tags: TagsEntry, outline: OutlineTrack | None = None) -> Array:
     """(T, m, 3, n) m, m, rad: how the poses of the beam's tags, and then of the outline's points, relative to the first
-    base tag move with one sd of each of the n unknowns of the plane and, without a calibration, of the camera. A hidden
-    base counts as where it was seen nearest in time; zero for tags that were not seen."""
-    corners = np.concatenate([lasting_base(corners[:, :base]), corners[:, base:]], axis=1)
+    base tag move with one sd of each of the n unknowns of the plane, the tags' heights and, without a calibration, the
+    camera. A hidden base counts as where it was seen nearest in time; zero for tags that were not seen."""
+    base = len(tags.on_base)
+    first, shown = lasting_base(corners[:, :base])
+    corners, which = np.concatenate([shown, corners[:, base:]], axis=1), [first, *range(base, corners.shape[1])]
 
     def relative(view: View) -> Array:
         xy, angle = lay_square(to_plane(view, corners))
+        xy = lowered(view, xy, view.lying[which, 0])
         if outline is not None:
-            points = points_in_plane(view, *outline)
+            points = points_in_plane(view, outline, height_along(view, tags, outline.s))
             xy, angle = np.concatenate([xy, points.xy], axis=1), np.concatenate([angle, points.angle], axis=1)
         none = np.zeros((*angle.shape, 3, 3))
         own = relative_to(Poses(xy[:, :1], angle[:, :1], none[:, :1]), Poses(xy[:, 1:], angle[:, 1:], none[:, 1:]))
@@ -635,8 +656,9 @@ def by_camera(plane: PlaneFit, corners: Array, base: int, outline: tuple[Outline
     return np.nan_to_num(shifts)
 
 
-def lasting_base(corners: Array) -> Array:
-    """(T, 1, 4, 2) corners of the first base tag that is ever seen, in every frame, from those of all (T, b, 4, 2)."""
+def lasting_base(corners: Array) -> tuple[int, Array]:
+    """The first base tag that is ever seen, and its corners (T, 1, 4, 2) in every frame, from those of all
+    (T, b, 4, 2)."""
     visible = np.asarray(np.isfinite(corners).all(axis=(2, 3)))
     tag = int(np.argmax(visible.any(axis=0)))
     shown = np.flatnonzero(visible[:, tag])
@@ -644,7 +666,7 @@ def lasting_base(corners: Array) -> Array:
     after = np.clip(np.searchsorted(shown, frames), 0, len(shown) - 1)
     before = np.maximum(after - 1, 0)
     nearest = np.where(np.abs(shown[before] - frames) < np.abs(shown[after] - frames), shown[before], shown[after])
-    return np.asarray(corners[nearest, tag : tag + 1])
+    return tag, np.asarray(corners[nearest, tag : tag + 1])
 
 
 def check_lengths(xy: Array, rec: Recording) -> None:
