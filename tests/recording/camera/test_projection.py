@@ -10,13 +10,16 @@ from hypothesis import given, strategies as st
 
 from onebend.errors import ObservationError, RecordingError
 from onebend.recording.camera import (
+    LYING_SD,
     Poses,
     base_pose,
     corner_weight,
     distort,
     lay_square,
     measure_markers,
+    measure_poses,
     project,
+    project_tags,
     relative_to,
     square,
     to_plane,
@@ -153,6 +156,26 @@ def test_bent_base_tag_is_refused() -> None:
     corners[:, 0, 2] += 6.0
     with pytest.raises(ObservationError, match="base tag's shape fits no flat square"):
         measure_markers(detections(corners), recording(calibrated=SEEN))
+
+
+@pytest.mark.parametrize("calibrated", [True, False])
+def test_raised_and_tilted_tags_are_where_they_are(calibrated: bool) -> None:
+    """Angles are twice as near as those of tags that count as flat under the true camera, and errors are as said."""
+    rng = np.random.default_rng(4)
+    lying = rng.normal(0.0, LYING_SD, (4, 11))
+    lying[:, :3] = [[1e-3, 0.0, 0.02], [-1e-3, 0.06, -0.03], [5e-4, -0.05, 0.04], [0.0, 0.03, 0.05]]
+    corners = project_tags(SEEN, TRUE[..., :2], TRUE[..., 2], SIZE, lying)
+    rec = recording(calibrated=SEEN if calibrated else None)
+    off, squares = errors(detections(corners), rec, TRUE)
+    as_flat, _, _ = measure_poses(replace(SEEN, lying=np.zeros((0, 11))), corners, SIZE)
+    flat = relative_truth(np.concatenate([as_flat.xy, as_flat.angle[..., None]], axis=-1)) - relative_truth(TRUE)
+    moved, before = (np.sqrt(np.mean((one - one[:1]) ** 2, axis=(0, 1))) for one in (off, flat))
+    assert moved[2] < 0.5 * before[2]
+    assert np.all(moved[:2] < 1e-4)
+    assert np.median(squares) < 2.0 * 2.366
+    found = measure_markers(detections(corners), rec).view
+    assert found is not None
+    np.testing.assert_allclose(found.lying[:, 1:3], lying[:, 1:3], atol=0.02)
 
 
 @pytest.mark.parametrize("calibrated", [True, False])
