@@ -434,9 +434,10 @@ def checked_frame(
         raise LearningError(f"frame at {time:g} s: a tag at infinity; give NaN where a tag is not seen")
     visible = np.asarray(np.all(np.isfinite(measured), axis=1) & np.all(np.isfinite(spread), axis=(1, 2)))
     spread = np.where(visible[:, None, None], spread, np.eye(3))
-    across = np.pad(across_of(np.where(visible, turn, 0.0), traced), ((0, 0), (0, 1)))
-    only = across[:, :, None] * across[:, None]  # projects on it
-    spread = np.where(traced[:, None, None], _FREE - only + only @ spread @ only, spread)
+    if traced.any():
+        across = np.pad(across_of(np.where(visible, turn, 0.0), traced)[traced], ((0, 0), (0, 1)))
+        only = across[:, :, None] * across[:, None]  # projects on it
+        spread[traced] = _FREE - only + only @ spread[traced] @ only
     try:
         lower = np.linalg.cholesky(spread)
     except np.linalg.LinAlgError as error:
