@@ -22,6 +22,7 @@ from onebend.learning.frames import moved_by, read_alone, typical
 from onebend.learning.linear import Hyperparameters, log_k_map
 from onebend.learning.parameters import STATED_ERRORS, Layout
 from onebend.progress import one_blas_thread
+from onebend.record_data import record_from
 from onebend.records import DIRECTION_SD, GAIN_SD, PLACE_SD, Array, Observations, covariance_with_camera
 
 if TYPE_CHECKING:  # for the type alone: who reads a model loads no fit
@@ -132,17 +133,7 @@ class Instruments:
     def from_dict(data: dict[str, Any]) -> Instruments:
         """From `as_dict`. Raises `LearningError` where an entry is missing, unknown or not as it must be."""
         try:
-            entries = {**data, "force": ForceDoubt(**data["force"])}
-            for name in _OF_BEFORE:
-                entries.pop(name, None)
-            for name in ("tags", "gravity", "shared"):
-                entries[name] = tuple(entries[name])
-            for name in ("tag_sd", "shared_slope", "shared_covariance"):
-                entries[name] = np.asarray(data[name], dtype=float)
-            entries["shared_slope"] = entries["shared_slope"].reshape(len(data["shared_slope"]), -1)
-            entries["shared_covariance"] = entries["shared_covariance"].reshape(2 * (len(data["shared_slope"]),))
-            entries["pushes"] = tuple(PlannedPush(**{k: float(v) for k, v in one.items()}) for one in data["pushes"])
-            bench = Instruments(**entries)
+            bench = record_from(Instruments, {name: one for name, one in data.items() if name not in _OF_BEFORE})
             _check(bench)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise LearningError(f"describes no bench ({error})") from error

@@ -12,19 +12,11 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from onebend.errors import ObservationError, RecordingError
+from onebend.recording import signals
 from onebend.recording.camera import MOVED, RUNNING, lengths_apart, order_hint, rotated, unwrap
 from onebend.recording.entries import FrequencyEntry, GravityEntry, Recording
 from onebend.recording.force import ContactSettings, find_contact
 from onebend.recording.outline import PLACES, POINTS
-from onebend.recording.signals import (
-    LATEST,
-    MAD_TO_SD,
-    MOST_FRAMES,
-    check_span,
-    copies_in_motion,
-    from_clamp,
-    running_median,
-)
 from onebend.recording.stated import stated_in
 from onebend.recording.tables import Columns, read_columns, read_every_column
 from onebend.records import (
@@ -150,7 +142,7 @@ def chord_angles(xy: Array, s: Array) -> Array:
     small enough for clocks and rests, not for learning. NaN where a marker or a neighbour is missing.
     """
     order = np.argsort(s, kind="stable")
-    places, points, _ = from_clamp(s, xy, np.zeros(xy.shape[:2]))
+    places, points, _ = signals.from_clamp(s, xy, np.zeros(xy.shape[:2]))
     span = np.maximum(np.diff(places), 1e-9)
     chord = np.diff(points, axis=1)
     turn = np.arctan2(chord[..., 1], chord[..., 0])
@@ -335,14 +327,14 @@ def read_tracks(rec: Recording) -> Tracks:
     known = ("z_m", "angle_rad", "sd_m")
     table = read_columns(entry.file, ("time_s", "x_m", "y_m"), ("id", "order", *known), kind="marker table")
     time, wanted = table.get("time_s"), [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
-    table.refuse(~(np.abs(time) < LATEST), "time_s is empty or no time. Remove the row, or give its time.")
+    table.refuse(~(np.abs(time) < signals.LATEST), "time_s is empty or no time. Remove the row, or give its time.")
     drawn = curve_rows(table, "" if rec.tags.on_beam else "[[tags.on_beam]]")
     table.refuse(~drawn & (table.get("id") != np.round(table.get("id"))), "id is no whole number. Number the markers.")
     table.refuse(table.get("sd_m") <= 0.0, "sd_m must be above zero.")
     for name in ("x_m", "y_m", *known):
         table.refuse(np.abs(table.get(name)) > FARTHEST_M, f"{name} is more than {FARTHEST_M:g}. Is it in metres?")
     times, frame = np.unique(time, return_inverse=True)
-    check_span(times, str(entry.file), most=MOST_FRAMES)
+    signals.check_span(times, str(entry.file), most=signals.MOST_FRAMES)
     grids = {name: np.full((len(times), len(wanted)), np.nan) for name in ("x_m", "y_m", *known)}
     strangers = sorted(set(table.get("id")[~drawn].tolist()) - set(wanted))
     for i, marker in enumerate(wanted):
@@ -399,7 +391,7 @@ def _without_copies(tracks: Tracks) -> Tracks:
     """Without the frames that repeat all places of the frame before while the markers move."""
     change = np.abs(np.diff(tracks.xy, axis=0))
     digit = float(np.min(change, where=change > 0.0, initial=np.inf))  # rounded places stay where a marker moves slowly
-    stale = copies_in_motion(tracks.time, tracks.xy, 0.5 * digit, 5.0 * digit)
+    stale = signals.copies_in_motion(tracks.time, tracks.xy, 0.5 * digit, 5.0 * digit)
     if not stale.any():
         return tracks
     text = (
@@ -419,7 +411,7 @@ def base_motion(tracks: Tracks, base: int) -> tuple[Array, Array, tuple[Remark, 
     if base == 0:
         return np.zeros((count, 2)), np.zeros(count), ()
     xy, angle = tracks.xy[:, :base], tracks.angle[:, :base]
-    middle, smooth = np.nanmedian(xy, axis=0), running_median(_held(xy.reshape(count, -1)), RUNNING)
+    middle, smooth = np.nanmedian(xy, axis=0), signals.running_median(_held(xy.reshape(count, -1)), RUNNING)
     step = np.nan_to_num(np.linalg.norm(smooth.reshape(xy.shape) - middle, axis=-1))
     if not np.any(step > MOVED * np.nanmedian(tracks.sd[:, :base], axis=0)):
         return np.broadcast_to(middle[0], (count, 2)), np.zeros(count), ()
@@ -487,7 +479,7 @@ def _noise(values: Array, least: float, unknown: float) -> Array:
     bends = np.abs(np.diff(np.atleast_3d(values), n=2, axis=0)) / math.sqrt(6)
     known = np.isfinite(bends).any(axis=(0, 2))
     sd = np.full(values.shape[1], unknown)
-    sd[known] = np.maximum(MAD_TO_SD * np.nanmedian(bends[:, known], axis=(0, 2)), least)
+    sd[known] = np.maximum(signals.MAD_TO_SD * np.nanmedian(bends[:, known], axis=(0, 2)), least)
     return sd
 
 
