@@ -168,11 +168,6 @@ class Response:
         right = minus_gradient(self.solved, self.perturbation)
         return solve_each(tangent(self.solved.problem, self.solved.q), right)
 
-    @property
-    def alpha(self) -> Array:
-        """(T, Q, P)."""
-        return self.solved.problem.to_nodes @ self.q + self.perturbation.clamp
-
     def poses(self, s: Array) -> Array:
         """(T, S, 3, P) m, m, rad per unit, at `s` (S,) or (T, S)."""
         integral = self.solved.problem.grid.integral_to(s)

@@ -66,7 +66,7 @@ class ForceDoubt:
         return np.asarray(behind.covariance(self.coloured, self.tau)[back].reshape(np.shape(lag)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Instruments:
     """All that decides what one more push would tell. m tags, p coefficients of log k, N shared nuisances."""
 
@@ -80,17 +80,17 @@ class Instruments:
     placement_sd: float  # m, a tag's place along and across the beam, before any data
     turn_sd: float  # rad, a tag's turn on the beam
     curvature_sd: float  # rad, states of the rest shape; 0 where the beam is straight
-    mass_sd: float  # of the mass; 0 where nothing weighs
-    mass_spread_sd: float  # of the mass: parts of an uneven mass per metre
+    mass_sd: float = 0.0  # of the mass; 0 where nothing weighs
+    mass_spread_sd: float = 0.0  # of the mass: parts of an uneven mass per metre
     clamp_sd: float  # rad, the clamp's direction, anew in every push
     origin_sd: float  # m, the clamp's place against the base tag
-    scale_sd: float  # of lengths in the picture; 0 with a calibrated camera
+    scale_sd: float = 0.0  # of lengths in the picture; 0 with a calibrated camera
     clock_sd: float  # s
     force: ForceDoubt
     gain_sd: float  # of the force's common scale
-    gravity: tuple[float, float]  # m/s^2 in the beam's frame
+    gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2 in the beam's frame
     curvature: float  # rad, the largest |q - q0| so far
-    pushes: tuple[PlannedPush, ...]  # made so far
+    pushes: tuple[PlannedPush, ...] = ()  # made so far
     shared: tuple[str, ...]  # which of `SHARED` are unknown, in that order
     shared_slope: Array  # (N, p) of their mean with the coefficients
     shared_covariance: Array  # (N, N) of what is left of them once the coefficients are known

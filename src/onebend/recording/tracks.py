@@ -537,7 +537,6 @@ class SwingSignals:
     name: str
     time: Array  # (N,) s
     value: Array  # (N, C) each in a unit of its own
-    labels: tuple[str, ...]  # (C,)
 
 
 def signals_of_table(path: Path) -> SwingSignals:
@@ -548,20 +547,18 @@ def signals_of_table(path: Path) -> SwingSignals:
     labels = tuple(name for name in table.numbers if name != TIME and np.isfinite(table.numbers[name]).any())
     if not labels:
         raise RecordingError(f"{path}: there is nothing beside {TIME}. Add a column for each signal, such as y_m.")
-    return SwingSignals(path.name, table.get(TIME), np.stack([table.numbers[name] for name in labels], axis=1), labels)
+    return SwingSignals(path.name, table.get(TIME), np.stack([table.numbers[name] for name in labels], axis=1))
 
 
 def signals_of_tracks(rec: Recording) -> SwingSignals:
     """Of the markers of a recording, or of its curve, in the tracker's plane."""
     tracks, base = read_tracks(rec), len(rec.tags.on_base)
-    ids = [*(tag.id for tag in rec.tags.on_beam), *range(POINT_ID, POINT_ID + tracks.curve)]
-    beam = tracks.xy[:, base:]
-    return _places(rec.name, tracks.time, beam, ids)
+    return _places(rec.name, tracks.time, tracks.xy[:, base:])
 
 
 def signals_of_markers(markers: Markers, name: str) -> SwingSignals:
     """Of tags in a film, against the base tag."""
-    return _places(name, markers.time, markers.xy, markers.tag_id.tolist())
+    return _places(name, markers.time, markers.xy)
 
 
 def _of_points(path: Path) -> SwingSignals:
@@ -570,12 +567,11 @@ def _of_points(path: Path) -> SwingSignals:
     ids, column = np.unique(table.get("id"), return_inverse=True)
     places = np.full((len(time), len(ids), 2), np.nan)
     places[row, column] = np.stack([table.get("x_m"), table.get("y_m")], axis=1)
-    return _places(path.name, time, places, [int(one) for one in ids])
+    return _places(path.name, time, places)
 
 
-def _places(name: str, time: Array, xy: Array, ids: list[int]) -> SwingSignals:
-    labels = tuple(f"{axis} of {one}" for one in ids for axis in "xy")
-    return SwingSignals(name, time, xy.reshape(len(time), -1), labels)
+def _places(name: str, time: Array, xy: Array) -> SwingSignals:
+    return SwingSignals(name, time, xy.reshape(len(time), -1))
 
 
 def measured_frequencies(rec: Recording) -> tuple[MeasuredFrequency, ...]:
