@@ -131,7 +131,8 @@ def _shown(
     searched, number = detections.of_searched()
     markers = markers_of(rec, searched)
     if rec.traces_outline:
-        markers = with_outline(rec, markers, searched, number, progress=progress)
+        frames = KeptFrames() if frames is None else frames
+        markers = with_outline(rec, markers, searched, number, kept=frames, progress=progress)
     seen = assemble(rec, markers, log, base, settings)
     base_angle = markers.base_angle[seen.frame]
     seen = replace(seen, frame=number[seen.frame])
