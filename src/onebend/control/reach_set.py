@@ -449,11 +449,6 @@ class DragAnswer:
     margin: float  # smallest eigenvalue of the scaled tangent: 1 without loads, 0 at loss of stability
     limit: Edge | None  # why the point is off its goal
 
-    @property
-    def away(self) -> float:
-        """m, from the goal."""
-        return float(np.hypot(*(self.pose - self.goal[:3] if len(self.goal) > 3 else self.pose[:2] - self.goal[:2])))
-
 
 class _Hand:
     """Stateful, for one thread."""
