@@ -76,8 +76,8 @@ def each(work: Callable[..., Result], *arguments: Iterable[object]) -> tuple[Res
     For work in large arrays, most of which leaves the interpreter free.
     """
     rows = list(zip(*arguments, strict=True))
-    cores = available_cores()
-    if len(rows) < _WORTH_THREADS or cores == 1:
+    cores = available_cores() if len(rows) >= _WORTH_THREADS else 1
+    if cores == 1:
         return tuple(work(*row) for row in rows)
     from concurrent.futures import ThreadPoolExecutor  # here, as below: `--version` starts no thread
 

@@ -35,7 +35,7 @@ _TOLERANCE = 1e-11  # of the last update, as an angle
 
 def end_pose(problem: Problem, q: Array) -> Array:
     """(T, 3) x, y, angle of s = 1."""
-    lw, slope = problem.length * problem.weights, centreline_slope(problem, q)
+    lw, slope = problem.length * problem.weights, centreline_slope(problem, nodal_forces(problem, q))
     x, y = np.sum(lw * slope[..., 0], axis=-1), np.sum(lw * slope[..., 1], axis=-1)
     angle = np.sum(problem.weights * q, axis=-1) + np.ravel(problem.alpha0)
     return np.stack([x, y, angle], axis=-1)

@@ -459,9 +459,12 @@ def refine(problem: Problem, start: Array, *, settings: ContinuationSettings = C
     full = np.ones(problem.size)
     trust, remaining = settings.max_turn * full, settings.tolerance * full
     q, near, iterations = correct(problem, start, full, trust=trust, remaining=remaining, last=settings.last)
-    near &= is_stable(problem, q)  # an unstable neighbour may belong to another branch
-    found, lost = found_near(problem, q, near, iterations), np.flatnonzero(~near)
-    return found.put(lost, follow(problem.take(lost), settings=settings)) if lost.size and settings.grow else found
+    found = found_near(problem, q, near, iterations)
+    stands = near & is_stable(problem, q, forces=found.forces)  # an unstable one may belong to another branch
+    if stands.all():
+        return found
+    found, lost = found_near(problem, q, stands, iterations), np.flatnonzero(~stands)
+    return found.put(lost, follow(problem.take(lost), settings=settings)) if settings.grow else found
 
 
 def _advance(problem: Problem, state: _State, frames: IntArray, settings: ContinuationSettings) -> None:

@@ -39,20 +39,16 @@ class NodalForces:
 
         Also d(dW/dalpha)/dn over L, by Betti's reciprocity.
         """
-        if self.turned is None:
-            return paired(-self.sin, self.cos)
-        first, second = self.turned
-        return paired(first * self.cos - second * self.sin, first * self.sin + second * self.cos)
+        return paired(-self.sin, self.cos) if self.turned is None else self.in_plane(*self.turned)
+
+    def in_plane(self, along: Array, across: Array) -> Array:
+        """(T, Q, 2): vectors of components (T, Q) along d1 and d2."""
+        return paired(along * self.cos - across * self.sin, along * self.sin + across * self.cos)
 
 
 def node_angles(problem: Problem, q: Array) -> Array:
     """(T, Q) `alpha = alpha0 + B q` (3)."""
     return problem.alpha0 + apply(problem.to_nodes, q)
-
-
-def internal_force(problem: Problem, load_factor: Array | float = 1.0) -> Array:
-    """(T, Q, 2) N: the sum of all forces beyond each node."""
-    return np.asarray(np.asarray(load_factor, dtype=float)[..., None, None] * problem.dead_force)
 
 
 def nodal_forces(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> NodalForces:
@@ -68,30 +64,19 @@ def nodal_forces(problem: Problem, q: Array, load_factor: Array | float = 1.0) -
     return NodalForces(cos, sin, along * stretched - tilted * across, across * stretched, (tilted, stretched))
 
 
-def normal_and_shear(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tuple[Array, Array]:
-    alpha, n = node_angles(problem, q), internal_force(problem, load_factor)
-    cos, sin = np.cos(alpha), np.sin(alpha)
-    return n[..., 0] * cos + n[..., 1] * sin, n[..., 1] * cos - n[..., 0] * sin
+def normal_and_shear(problem: Problem, forces: NodalForces) -> tuple[Array, Array]:
+    """(T, Q) N each: N and Q under all loads."""
+    x, y = problem.dead_force[..., 0], problem.dead_force[..., 1]
+    return x * forces.cos + y * forces.sin, y * forces.cos - x * forces.sin
 
 
-def strains(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tuple[Array, Array]:
+def centreline_slope(problem: Problem, forces: NodalForces, load_factor: Array | float = 1.0) -> Array:
+    """(T, Q, 2): r'/L, `(1 + N/EA) d1 + (Q/kGA) d2`; N and Q are those of all loads times `load_factor`."""
     if problem.compliance is None:
-        nothing = np.zeros((problem.size, problem.to_nodes.shape[-1]))
-        return nothing, nothing
-    normal, transverse = normal_and_shear(problem, q, load_factor)
-    stretch, shear = problem.compliance
-    return stretch * normal, shear * transverse
-
-
-def centreline_slope(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Array:
-    """(T, Q, 2): r'/L, `(1 + N/EA) d1 + (Q/kGA) d2`."""
-    alpha = node_angles(problem, q)
-    cos, sin = np.cos(alpha), np.sin(alpha)
-    if problem.compliance is None:
-        return np.stack([cos, sin], axis=-1)
-    stretch, shear = strains(problem, q, load_factor)
-    along = 1.0 + stretch
-    return np.stack([along * cos - shear * sin, along * sin + shear * cos], axis=-1)
+        return paired(forces.cos, forces.sin)
+    factor, (stretch, shear) = np.asarray(load_factor, dtype=float)[..., None], problem.compliance
+    normal, transverse = normal_and_shear(problem, forces)
+    return forces.in_plane(1.0 + factor * stretch * normal, factor * shear * transverse)
 
 
 def strain_by_force(problem: Problem, forces: NodalForces) -> Array:
@@ -159,7 +144,7 @@ class Equilibrium:
     @cached_property
     def normal_and_shear(self) -> tuple[Array, Array]:
         """(T, Q) N each."""
-        return normal_and_shear(self.problem, self.q)
+        return normal_and_shear(self.problem, self.forces)
 
     @cached_property
     def strain_by_force(self) -> Array:
@@ -174,9 +159,8 @@ class Equilibrium:
 
     def strained_by(self, compliance: tuple[Array, Array]) -> Array:
         """The same, for 1/EA and 1/kGA (Q,) or (T, Q) [1/N]."""
-        (normal, transverse), cos, sin = self.normal_and_shear, self.forces.cos, self.forces.sin
-        along, across = compliance[0] * normal, compliance[1] * transverse
-        return paired(along * cos - across * sin, along * sin + across * cos)
+        normal, transverse = self.normal_and_shear
+        return self.forces.in_plane(compliance[0] * normal, compliance[1] * transverse)
 
     def angle(self, s: Array) -> Array:
         """(T, S) rad, tangent's angle at `s` (S,) or (T, S). Equation (3)."""
@@ -184,22 +168,26 @@ class Equilibrium:
 
     def xy(self, s: Array) -> Array:
         """(T, S, 2) m, position at `s` (S,) or (T, S). Equation (4)."""
-        return self._slope_by(self.problem.grid.integral_to(s))
+        return _times(self.problem.grid.integral_to(s), self.slope)
 
     def xy_by_s(self, s: Array) -> Array:
         """(T, S, 2) m, d r / d s at `s` (S,), with stretch and shear."""
-        return self._slope_by(self.problem.grid.value_at(s))
+        return _times(self.problem.grid.value_at(s), self.slope)
 
     def moment(self) -> Array:
         """(T, Q) N m, k (q - q0)."""
         return self.problem.k * (self.q - self.problem.q0)
 
-    def _slope_by(self, rows: Array) -> Array:
-        """(T, S, 2) m: rows (S, Q) or (T, S, Q) times r', under the loads that act on the shapes."""
+    @cached_property
+    def slope(self) -> Array:
+        """(T, Q, 2) m: r' under the loads that act on the shapes."""
         factor = np.where(np.isfinite(self.load_factor), self.load_factor, 1.0)
-        slope = centreline_slope(self.problem, self.q, factor)
-        unit = np.stack([apply(rows, slope[..., 0]), apply(rows, slope[..., 1])], axis=-1)
-        return np.asarray(self.problem.length[..., None] * unit)
+        return np.asarray(self.problem.length[..., None] * centreline_slope(self.problem, self.forces, factor))
+
+
+def _times(rows: Array, vectors: Array) -> Array:
+    """(T, S, 2): rows (S, Q) or (T, S, Q) times vectors (T, Q, 2)."""
+    return paired(apply(rows, vectors[..., 0]), apply(rows, vectors[..., 1]))
 
 
 _OF_FRAMES = ("q", "converged", "stable", "load_factor", "buckled_at", "fell")
@@ -214,13 +202,9 @@ def found_near(problem: Problem, q: Array, found: BoolArray, iterations: int = 0
 
 def potential(problem: Problem, q: Array) -> Array:
     """(T,) J: bending energy less the work of the dead loads."""
-    alpha = node_angles(problem, q)
     elastic = 0.5 * problem.k * (q - problem.q0) ** 2 - problem.moment * q
-    x, y = np.cos(alpha), np.sin(alpha)
-    if problem.compliance is not None:  # loads work on the whole strain, half of it is stored
-        slope = centreline_slope(problem, q)
-        x, y = 0.5 * (x + slope[..., 0]), 0.5 * (y + slope[..., 1])
-    work = problem.length * (problem.dead_force[..., 0] * x + problem.dead_force[..., 1] * y)
+    slope = centreline_slope(problem, nodal_forces(problem, q), 0.5)  # loads work on all strain, half of it is stored
+    work = problem.length * np.sum(problem.dead_force * slope, axis=-1)
     return np.asarray(np.sum(problem.weights * (elastic - work), axis=-1))
 
 
@@ -243,9 +227,11 @@ def balance(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tup
     return gradient(problem, q, load_factor, forces), tangent(problem, q, load_factor, forces)
 
 
-def is_stable(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> BoolArray:
-    """(T,) whether the second variation is positive (T has a Cholesky factor)."""
-    forces = nodal_forces(problem, q, load_factor)
+def is_stable(
+    problem: Problem, q: Array, load_factor: Array | float = 1.0, forces: NodalForces | None = None
+) -> BoolArray:
+    """(T,) whether the second variation is positive (T has a Cholesky factor); `forces` if known."""
+    forces = forces or nodal_forces(problem, q, load_factor)
     stable = _surely_stable(problem, forces.along)
     doubtful = np.flatnonzero(~stable)
     if doubtful.size:

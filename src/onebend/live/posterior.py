@@ -19,7 +19,7 @@ from onebend.learning.hyperparameters import Evidence
 from onebend.learning.linear import Eliminated, FitProblem, Hyperparameters, JointInformation, Solved, eliminated
 from onebend.learning.normal import BlockRoot, InformationForm, solved_lower
 from onebend.live.key_frames import AT_REST, KeyFrames
-from onebend.recording.force_noise import TimeSpans, covariance, fast_variance, slow_variance, with_one_more
+from onebend.recording.force_noise import TimeSpans, fast_variance, slow_variance, with_one_more
 from onebend.records import Array, ForceNoise, IntArray
 
 # Marginalised key frames are kept as square-root information (Bierman, Factorization Methods for Discrete Sequential
@@ -186,7 +186,8 @@ class KeyFramePosterior:
         if not len(spans.begin):
             return np.zeros(2), np.zeros(0), 0.0
         with_others, alone = with_one_more(self.process, spans, time, own)
-        rows = np.asarray(np.linalg.solve(covariance(self.process, spans), with_others), dtype=float)
+        root = self.solved.before.roots[1].blocks[0][1]  # of the covariance of the known errors, on each axis
+        rows = solved_lower(root, solved_lower(root, with_others), across=True)
         return rows @ self.e, rows, alone - float(rows @ with_others)
 
 
