@@ -21,8 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from onebend.beam.model import Beam
-from onebend.beam.problem import Resolution
-from onebend.control.loaded_beam import prepared, trace
+from onebend.control.loaded_beam import trace
 from onebend.control.loop import Controller, ControllerState, bounded
 from onebend.drive.placing import Placement
 from onebend.drive.plan import ARM, DrivePlan
@@ -133,7 +132,6 @@ class Drive:
         self._places = np.append(tags, [plan.point_s, plan.push_s])
         self._model = BentModel(plan.model.beam, plan.push_s, self._places, plan.gravity)
         self._rest = self._model.poses()
-        self._held_at = prepared(plan.model.beam, plan.push_s, plan.push_s, plan.gravity, Resolution())
         self._apart, self._k_sd = 0.0, -math.log(1.0 - plan.settings.k_error) / 3.0  # m; of log k
         self.eye = Eye(rec, self._rest[: len(tags)])
         assert rec.force is not None
@@ -534,11 +532,12 @@ class Drive:
     def _place_doubt(self, force: Array) -> float:
         """The same for the model's own k(s) under `force` (2,) N; 0 where it has no shape to compare with."""
         assert self._arm is not None
-        way = trace(self._held_at, np.append(force, 0.0), start=self._model.state, shortest=_SHORTEST)
+        pushed = self._model.pushed
+        way = trace(pushed, np.append(force, 0.0), start=self._model.state, shortest=_SHORTEST)
         if not way.arrived:
             return 0.0
         here, state = self._place.to_beam(self._arm.pose.position)[:2], way.states[-1]
-        away, yields = here - self._held_at.pose(state.q)[:2], self._held_at.response(state)[:2, :2]
+        away, yields = here - pushed.pose(state.q)[:2], pushed.response(state)[:2, :2]
         askew = _ASKEW[self._settings.hand] * self._k_sd**2 * float(force @ force)
         covariance = (self._sensor_sd**2 + askew) * yields @ yields.T
         covariance += (self._place.sd(here) + _CONTACT) ** 2 * np.eye(2)
@@ -818,7 +817,6 @@ class Drive:
             return
         control = replace(control, reference=replace(control.reference, rise=max(control.reference.rise, 1.0)))
         self._control, self._model = control, model
-        self._held_at = prepared(control.beam, self.plan.push_s, self.plan.push_s, self.plan.gravity, Resolution())
         self._loop = control.begin(now, wanted - control.reference.begins)
         self._goal_begun = now
         self._say(f"goes on with k(s) as learned now, {100.0 * (stiffer - 1.0):+.3g} % on average")
