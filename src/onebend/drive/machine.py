@@ -163,7 +163,7 @@ class Drive:
         self._same_at_rest = 0.0
         self._film_begun, self._film = math.nan, (math.nan, math.nan)  # arrival and film time of the newest picture
         self._refused, self._camera_why, self._refused_by = "", "", ""
-        self._settled = self._stop = self._trouble = False
+        self.fault = self._settled = self._stop = False  # fault: whether anything went wrong
         self._doubted = self._holds = 0
         self.lateness = Lateness()
 
@@ -214,11 +214,6 @@ class Drive:
     def moved(self) -> bool:
         """Whether the tool was ever told to move."""
         return self._start is not None
-
-    @property
-    def fault(self) -> bool:
-        """Whether anything went wrong."""
-        return self._trouble
 
     def stop(self) -> None:
         """Hold, and release slowly; from any thread. A second time: let go at once."""
@@ -357,7 +352,7 @@ class Drive:
         elif self.stage in ("returning", "releasing"):
             self._walk_back(now)
         elif self.stage == "resting":
-            rest = AFTER_FAULT if self._trouble else self._settings.rest
+            rest = AFTER_FAULT if self.fault else self._settings.rest
             if now - self._entered >= rest:
                 self._end(now, "the tool is back where it began, and the robot is free")
 
@@ -649,7 +644,7 @@ class Drive:
                 self._say(f"goal {self._goal + 1} of {len(self.plan.goals)} is reached after {since:.1f} s")
                 self._enter("staying", now)
             elif since > max(self._settings.longest, 2.0 * self._control.reference.rise):
-                self._trouble = True
+                self.fault = True
                 away = 1e3 * float(np.linalg.norm(self.state.point - self._control.goal))
                 self._say(f"goal {self._goal + 1} is given up after {since:.0f} s, {away:.2g} mm away", fault=True)
                 self._finish_goal(now, reached=False)
@@ -690,14 +685,14 @@ class Drive:
         if self.stage in ("holding", "resting", "done"):
             return
         if self.stage == "waiting":
-            self._trouble |= fault
+            self.fault |= fault
             self._end(now, why)
             return
         pauses = passes and (len(self.lateness.pauses) < MOST_PAUSES or self.stage not in LED)
         self.lateness.paused = (self.stage, why) if pauses else None
         self._holds += not pauses
         if self._holds > MOST_HOLDS:
-            self._trouble |= fault
+            self.fault |= fault
             self._end(now, f"{why}: for the {self._holds}th time, and it is left where it stands")
             return
         try:
@@ -711,7 +706,7 @@ class Drive:
         silent, waited = now - self._answered, now - self._entered
         if silent > SILENCE:
             if silent > PATIENCE:
-                self._trouble = True
+                self.fault = True
                 self._end(now, f"{self.name} answers no more: it stops by itself. Look at it before you touch the beam")
             return
         if self.lateness.paused is not None and now - self.lateness.last > CALM:
@@ -754,7 +749,7 @@ class Drive:
 
     def _end(self, now: float, why: str) -> None:
         if why:
-            self._say(why, fault=self._trouble)
+            self._say(why, fault=self.fault)
         try:
             self._robot.release()
         except Exception as wrong:  # each package has errors of its own
@@ -766,7 +761,7 @@ class Drive:
         self.stage, self._entered = stage, now
 
     def _say(self, text: str, *, fault: bool = False) -> None:
-        self._trouble |= fault
+        self.fault |= fault
         arrival, film = self._film
         time = film + (self._turned - arrival) if math.isfinite(film) else math.nan
         self.events.append(Happened(time, text, fault))
