@@ -235,7 +235,7 @@ def test_files_hold_what_was_found(tmp_path: Path) -> None:
     assert len(rows) == 102
     page = (Path(__file__).parents[2] / "docs" / "plan.md").read_text(encoding="utf-8")
     assert all(f"`{column}`" in page for column in COLUMNS)
-    summary = json.loads(to_json(summary_of(found, written_by="a test")))
+    summary = json.loads(to_json(summary_of(found)))
     assert len(summary["advice"]) == 2
     assert {path.name for path in tmp_path.iterdir()} == {"rehearsal.csv", "rehearsal.png"}
 
