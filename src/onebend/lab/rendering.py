@@ -12,8 +12,8 @@ from scipy.ndimage import gaussian_filter, shift, zoom
 from scipy.spatial.transform import Rotation
 
 from onebend.errors import RecordingError
-from onebend.recording.camera import FACING, project
 from onebend.recording.entries import CameraEntry
+from onebend.recording.plane import FACING, project
 from onebend.records import Array, View
 
 # Coverage of pixels by polygons: exact along rows, sampled finely across them. Every edge adds, in the lines it

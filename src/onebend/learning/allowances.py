@@ -17,7 +17,7 @@ from onebend.beam.setup import MOST_REACHED, posture_terms
 from onebend.beam.stiffness import Profile, RectangularSection, Uniform
 from onebend.errors import LearningError
 from onebend.learning.frames import push_places
-from onebend.recording.camera import HEIGHT_SD, camera_place
+from onebend.recording.plane import HEIGHT_SD, camera_place
 from onebend.records import Array, BoolArray, Observations, PointMass, View, tags_among
 
 # Where an allowance enters the model, and what its `basis` is there. F frames, Q nodes, m tags, n parameters:

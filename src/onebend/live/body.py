@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from onebend.errors import ObservationError
-from onebend.recording.camera import Poses, drop, measure_markers, points_in_plane, project
+from onebend.recording.camera import Poses, drop, measure_markers, points_in_plane
 from onebend.recording.entries import Recording
 from onebend.recording.flanks import MEASURED, SIDES, BodyPlace, Planes, Sight, planes_of
 from onebend.recording.outline import (
@@ -22,6 +22,7 @@ from onebend.recording.outline import (
     points_of,
     track_of,
 )
+from onebend.recording.plane import project
 from onebend.recording.signals import nan_mean
 from onebend.recording.tags import TrackedFrame, Tracker
 from onebend.recording.video import Picture

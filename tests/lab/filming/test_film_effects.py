@@ -18,8 +18,8 @@ from onebend.lab.bench import RealBench
 from onebend.lab.filming import Filming, camera_motion, droop, film, followed, moments_at
 from onebend.lab.rendering import placed_in_space, rolled
 from onebend.lab.virtual import true_stiffness
-from onebend.recording.camera import project
 from onebend.recording.folder import read_recording
+from onebend.recording.plane import project
 from onebend.recording.tags import detect_tags
 from onebend.records import Array, View
 from onebend.text_files import plain

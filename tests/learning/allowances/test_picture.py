@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from onebend.learning.allowances import camera as camera_unknowns, outline_height, rolling_shutter
-from onebend.recording.camera import camera_place, lowered as lower
+from onebend.recording.plane import camera_place, lowered as lower
 from onebend.records import Array, Observations, View
 from tests.learning.allowances.allowed_bench import CAMERA, filmed
 from tests.made_up import with_source

@@ -10,23 +10,16 @@ from hypothesis import given, strategies as st
 
 from onebend.errors import ObservationError, RecordingError
 from onebend.recording.camera import (
-    LYING_SD,
     Poses,
     base_pose,
     corner_weight,
-    distort,
-    lay_square,
     measure_markers,
     measure_poses,
-    project,
-    project_tags,
     relative_to,
-    square,
-    to_plane,
-    undistort,
     unwrap,
 )
 from onebend.recording.entries import Recording, TagEntry
+from onebend.recording.plane import LYING_SD, distort, lay_square, project, project_tags, square, to_plane, undistort
 from onebend.records import Array, Detections, covariance_with_camera
 from tests.recording.filmed import LENGTH, SIZE, corners_of, detections, poses, recording, view
 
