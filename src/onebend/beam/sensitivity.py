@@ -6,6 +6,7 @@ Perturbations add with `+` and share one factorisation, for the parameters or, i
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
@@ -84,58 +85,50 @@ class Perturbations(_Joined):
 
 def minus_gradient(solved: Equilibrium, perturbation: Perturbation | Perturbations) -> Array:
     """(T, Q, P): minus the gradient's derivative by the parameters at fixed q."""
-    problem = solved.problem
-    out = np.zeros((*solved.q.shape, len(perturbation.clamp)))
+    out, by_angle = np.zeros((*solved.q.shape, len(perturbation.clamp))), transposed(solved.problem.to_nodes)
     for columns, part in perturbation.columns:
-        turning = work_by_angle(solved, part)
-        if turning is not None:
-            out[..., columns] += transposed(problem.to_nodes) @ turning
-        if part.moment is not None:
-            out[..., columns] += problem.weights[..., None] * part.moment
-        if part.elastic is not None:
-            size, functions = part.elastic
-            out[..., columns] -= (problem.weights * size)[..., None] * functions
+        for turns, size, functions in _work(solved, part):
+            change = size[..., None] * functions
+            out[..., columns] += by_angle @ change if turns else change
         if np.any(part.clamp != 0.0):
             out[..., columns] -= _by_turn(solved) * part.clamp
     return out
 
 
-def work_by_angle(solved: Equilibrium, part: Perturbation) -> Array | None:
-    """(T, Q, P) N m per unit: of `w dW/dalpha` at fixed angles; None if force and strain do not change."""
-    problem, out = solved.problem, None
+def _work(solved: Equilibrium, part: Perturbation) -> Iterator[tuple[bool, Array, Array]]:
+    """What the parameters change in `w dW/dalpha` (True) or directly in the balance of each node (False), at fixed
+    shapes and clamp: (Q,) or (T, Q) times functions (Q, P) or (T, Q, P), N m per unit."""
+    problem = solved.problem
     if part.force is not None:
-        lw = (problem.length * problem.weights)[..., None]
-        out = lw * _dot(solved.forces.lever, part.force)
-    if part.compliance is not None:
-        size, functions = _twisted(solved, part.compliance)
-        strained = size[..., None] * functions
-        out = strained if out is None else out + strained
-    return out
+        yield True, problem.length * problem.weights, _dot(solved.forces.lever, part.force)
+    if part.compliance is not None:  # L w Q (1 + (1/EA - 1/kGA) N)
+        ((stretch, shear), functions), (normal, transverse) = part.compliance, solved.normal_and_shear
+        yield True, problem.length * problem.weights * (stretch - shear) * normal * transverse, functions
+    if part.moment is not None:
+        yield False, problem.weights, part.moment
+    if part.elastic is not None:
+        yield False, -problem.weights * part.elastic[0], part.elastic[1]
 
 
-def adjoint_times(rows: Array, solved: Equilibrium, part: Perturbation) -> Array:
+def adjoint_times(rows: Array, solved: Equilibrium, perturbation: Perturbation | Perturbations) -> Array:
     """(T, S, P): rows (T, S, Q) times `minus_gradient`, without expanding functions that frames share."""
-    out, elastic, compliance = np.zeros((*rows.shape[:-1], len(part.clamp))), part.elastic, part.compliance
-    if elastic is not None and elastic[1].ndim == 2:
-        out += _times(rows * -(solved.problem.weights * elastic[0])[..., None, :], elastic[1])
-        elastic = None
-    if compliance is not None and compliance[1].ndim == 2:
-        size, functions = _twisted(solved, compliance)
-        out += _times((rows @ transposed(solved.problem.to_nodes)) * size[..., None, :], functions)
-        compliance = None
-    rest = Perturbation(part.force, part.moment, elastic, part.clamp, compliance)
-    entries = (rest.force, rest.moment, elastic, compliance)
-    if any(entry is not None for entry in entries) or np.any(rest.clamp != 0.0):
-        out += rows @ minus_gradient(solved, rest)
+    out, turned = np.zeros((*rows.shape[:-1], len(perturbation.clamp))), rows @ transposed(solved.problem.to_nodes)
+    for columns, part in perturbation.columns:
+        for turns, size, functions in _work(solved, part):
+            out[..., columns] += _times((turned if turns else rows) * size[..., None, :], functions)
+        if np.any(part.clamp != 0.0):
+            out[..., columns] -= (rows @ _by_turn(solved)) * part.clamp
     return out
 
 
 def _times(rows: Array, functions: Array) -> Array:
-    """(T, S, P): rows (T, S, Q) times functions (Q, P)."""
+    """(T, S, P): rows (T, S, Q) times functions (Q, P) or (T, Q, P)."""
+    if functions.ndim == 3:
+        return np.asarray(rows @ functions)
     return np.asarray((rows.reshape(-1, rows.shape[-1]) @ functions).reshape(*rows.shape[:-1], functions.shape[-1]))
 
 
-def moved_by_strain(solved: Equilibrium, rows: Array, part: Perturbation) -> Array | None:
+def _moved_by_strain(solved: Equilibrium, rows: Array, part: Perturbation) -> Array | None:
     """(T, S, 2, P) m per unit: motion by strain at fixed angles; `rows` (S, Q) or (T, S, Q) m integrate r'. None
     without."""
     problem, out = solved.problem, None
@@ -151,14 +144,6 @@ def moved_by_strain(solved: Equilibrium, rows: Array, part: Perturbation) -> Arr
         more = by_node @ (functions if functions.ndim == 2 else functions[:, None])
         out = more if out is None else out + more
     return out
-
-
-def _twisted(solved: Equilibrium, compliance: tuple[tuple[Array, Array], Array]) -> tuple[Array, Array]:
-    """(T, Q) and functions: of `w dW/dalpha = L w Q (1 + (1/EA - 1/kGA) N)` by the compliance."""
-    (stretch, shear), functions = compliance
-    problem = solved.problem
-    normal, transverse = solved.normal_and_shear
-    return problem.length * problem.weights * (stretch - shear) * normal * transverse, functions
 
 
 def _by_turn(solved: Equilibrium) -> Array:
@@ -234,9 +219,7 @@ class Response:
         else:
             matrices = tangent(self.solved.problem, self.solved.q, forces=self.solved.forces)
             adjoint = transposed(solve_each(transposed(matrices), transposed(flat)))
-            out = np.concatenate(
-                [adjoint_times(adjoint, self.solved, part) for _, part in self.perturbation.columns], axis=-1
-            )
+            out = adjoint_times(adjoint, self.solved, self.perturbation)
         out = out.reshape(*rows.shape[:-1], len(clamp))
         return out + turned[..., None] * clamp if np.any(clamp != 0.0) else out
 
@@ -244,7 +227,7 @@ class Response:
         """Adds the motion (T, S, 2, P) by strain."""
         rows = self.solved.problem.length[..., None] * integral
         for columns, part in self.perturbation.columns:
-            moved = moved_by_strain(self.solved, rows, part)
+            moved = _moved_by_strain(self.solved, rows, part)
             if moved is not None:
                 out[..., columns] += moved
 

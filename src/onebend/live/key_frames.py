@@ -7,7 +7,6 @@ two are alike, the oldest is marginalised (`posterior.py`).
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
@@ -143,7 +142,7 @@ class LoadStages:
         self.displacement = 0.0  # m, of the last frame
         self._here = np.full((tags, 2), np.nan)  # m, where tags were seen last
         self._rest = np.full((tags, 2), np.nan)
-        self._course: deque[tuple[float, float, bool]] = deque(maxlen=_MOST_POINTS)  # s, m, loaded
+        self._course = np.zeros((0, 3))  # s, m, loaded
         self._changes: list[LoadChange] = []
 
     def add_frame(self, time: float, xy: Array, visible: BoolArray, loaded: bool) -> None:
@@ -155,11 +154,10 @@ class LoadStages:
         away = away[np.isfinite(away)]
         self.displacement = size = float(np.sqrt(2.0 * (away @ away) / max(len(away), 1))) if loaded else 0.0
         self.largest = max(self.largest, size)
-        here = (time, size, loaded)
-        times, sizes, on = zip(*self._course, here, strict=True)
-        self._changes = load_changes(np.array(times), np.array(sizes), np.array(on), self.largest)
-        if len(times) == 1 or loaded != on[-2] or abs(size - sizes[-2]) > _FINE * self.largest:
-            self._course.append(here)
+        course = np.vstack([self._course, (time, size, loaded)])
+        self._changes = load_changes(course[:, 0], course[:, 1], course[:, 2] > 0.0, self.largest)
+        if len(course) == 1 or loaded != course[-2, 2] or abs(size - course[-2, 1]) > _FINE * self.largest:
+            self._course = course[-_MOST_POINTS:]
 
     @property
     def falling(self) -> bool:

@@ -78,11 +78,11 @@ def own_time(changes: Iterable[LoadChange], time: Array) -> Array:
 def turning_points(size: Array, margin: float) -> list[int]:
     """Indices at which `size` (T,) stops growing or falling, and then goes back by more than `margin`."""
     turns: list[int] = []
-    rising, extreme = True, 0
-    for i, now in enumerate(size):
-        if (now >= size[extreme]) if rising else (now <= size[extreme]):
+    values, rising, extreme = size.tolist(), True, 0
+    for i, now in enumerate(values):
+        if (now >= values[extreme]) if rising else (now <= values[extreme]):
             extreme = i
-        elif abs(now - size[extreme]) > margin:
+        elif abs(now - values[extreme]) > margin:
             turns.append(extreme)
             rising, extreme = not rising, i
     return turns
