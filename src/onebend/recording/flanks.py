@@ -33,33 +33,33 @@ class Planes:
     def at(self, px: Array) -> NDArray[np.float32]:
         """(..., 3) luma and both chromas at pixels (..., 2), in proportion between neighbours; NaN outside."""
         height, width = self.luma.shape
-        x, y = px[..., 0], px[..., 1]
-        inside = (x >= 0.0) & (y >= 0.0) & (x <= width - 1.0) & (y <= height - 1.0)
-        x, y = np.where(inside, x, 0.0), np.where(inside, y, 0.0)
+        x, y = np.moveaxis(px.astype(np.float32), -1, 0)
         across, down = width // self.chroma.shape[2], height // self.chroma.shape[1]
         shift = 0.0 if self.left else 0.5 * (across - 1)
         out: NDArray[np.float32] = np.empty((*x.shape, 3), dtype=np.float32)
-        out[..., :1] = _between(self.luma[None], x, y)
-        out[..., 1:] = _between(self.chroma, (x - shift) / across, (y - 0.5 * (down - 1)) / down)
-        out[~inside] = np.nan
+        _between(self.luma[None], x, y, out[..., :1])
+        _between(self.chroma, (x - shift) / across, (y - 0.5 * (down - 1)) / down, out[..., 1:])
+        inside = (x >= 0.0) & (y >= 0.0) & (x <= width - 1.0) & (y <= height - 1.0)
+        if not inside.all():
+            out[~inside] = np.nan
         return out
 
 
-def _between(planes: NDArray[np.uint8], x: Array, y: Array) -> NDArray[np.float32]:
-    """(..., n) linear interpolation in planes (n, h, w); beyond their edge as on it."""
+def _between(
+    planes: NDArray[np.uint8], x: NDArray[np.float32], y: NDArray[np.float32], out: NDArray[np.float32]
+) -> None:
+    """Puts the linear interpolation in planes (n, h, w) into `out` (..., n); beyond their edge as on it."""
     n, h, w = planes.shape
-    x, y = np.clip(x, 0.0, w - 1.001), np.clip(y, 0.0, h - 1.001)
-    i, j = y.astype(np.int64), x.astype(np.int64)
-    fy, fx = (y - i).astype(np.float32), (x - j).astype(np.float32)
+    x, y = (np.fmax(np.fmin(one, size - 1.001), 0.0) for one, size in ((x, w), (y, h)))  # NaN too
+    i, j = y.astype(np.int32), x.astype(np.int32)
+    fy, fx = y - i.astype(np.float32), x - j.astype(np.float32)
     at = i * w + j
-    out: NDArray[np.float32] = np.empty((*x.shape, n), dtype=np.float32)
     for k in range(n):
         flat = planes[k].reshape(-1)
-        top, low = flat[at].astype(np.float32), flat[at + w].astype(np.float32)
-        top += fx * (flat[at + 1] - top)
-        low += fx * (flat[at + w + 1] - low)
+        corners = [flat[first:].take(at).astype(np.float32) for first in (0, 1, w, w + 1)]
+        top = corners[0] + fx * (corners[1] - corners[0])
+        low = corners[2] + fx * (corners[3] - corners[2])
         out[..., k] = top + fy * (low - top)
-    return out
 
 
 def planes_of(rec: Recording, index: int, raw: Any) -> Planes:
@@ -83,6 +83,7 @@ def _plane(plane: Any, rotation: int) -> NDArray[np.uint8]:
 
 
 STATES = 12  # Legendre polynomials of the curve's angle
+SETTLED = 0.05  # by which no weight of a robust fit changes any more
 CLAMP_OFF = 2e-3  # m: one sd of the curve's begin across the clamp's direction
 
 
@@ -155,7 +156,9 @@ class Stations:
             step = np.linalg.lstsq(whole, np.concatenate([right * root, -state / prior]), rcond=None)[0]
             left = np.abs(right - rows @ step)
             spread = max(MAD_TO_SD * float(np.median(left)), sd)
-            weight = np.maximum(1.0 - (left / (5.0 * spread)) ** 2, 0.0) ** 2 + 1e-9
+            before, weight = weight, np.maximum(1.0 - (left / (5.0 * spread)) ** 2, 0.0) ** 2 + 1e-9
+            if np.max(np.abs(weight - before)) < SETTLED:
+                break
         return np.asarray(state + step)
 
 
@@ -230,10 +233,14 @@ def find_flanks(sight: Sight, curve: Curve, half: Array, look: Look) -> Array:
 
 
 def sides_of(colour: NDArray[np.float32], at: IntArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Mean colours inside and outside the samples `at` (j,) of profiles (..., J, 3)."""
+    """Mean colours inside and outside the consecutive samples `at` (j,) of profiles (..., J, 3)."""
     total = np.cumsum(np.concatenate([np.zeros_like(colour[..., :1, :]), colour], axis=-2), axis=-2)
-    inside = (total[..., at, :] - total[..., at - SAMPLES_ASIDE, :]) / SAMPLES_ASIDE
-    return inside, (total[..., at + 1 + SAMPLES_ASIDE, :] - total[..., at + 1, :]) / SAMPLES_ASIDE
+    total /= SAMPLES_ASIDE
+    first, last = int(at[0]), int(at[-1]) + 1
+    before, here, beyond, after = (
+        total[..., first + shift : last + shift, :] for shift in (-SAMPLES_ASIDE, 0, 1, 1 + SAMPLES_ASIDE)
+    )
+    return here - before, after - beyond
 
 
 def unlike(colour: NDArray[np.float32], body: Array, look: Look) -> Array:

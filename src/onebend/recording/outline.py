@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,7 +46,8 @@ from onebend.recording.flanks import (
     sides_of,
 )
 from onebend.recording.signals import MAD_TO_SD, correlation_time, nan_mean, nan_median, running_median
-from onebend.recording.video import timed
+from onebend.recording.tags import in_order
+from onebend.recording.video import KeptFrames, timed
 from onebend.records import Array, BoolArray, Detections, IntArray, Markers, OutlineTrack, Remark, View
 
 # The film: each picture is searched near where the two before predict the body.
@@ -157,14 +159,14 @@ def _near(sight: Sight, place: BodyPlace, body: OutlinedBody, state: Array) -> t
 # picture. Along normals of that curve the body's edges stay, while what lies behind it passes by.
 
 TAG_PLACE, TAG_TURN, CLAMP_TURN = 3e-4, 0.03, 0.02  # m, rad, rad: one sd of a tag, and of the clamp's direction
-STEPS = 4  # of Gauss and Newton's method from the curve of the picture before
+STEPS = 3  # of Gauss and Newton's method from the curve of the picture before
 FINEST = 300  # samples of a profile, at most
 LOOKED_AT = 40  # pictures, spread evenly, in which an edge must stay
+NOISY = 8  # likewise, of which the noise of a colour is taken
 STEEP = 8  # samples by which a lasting edge may step from station to station
 BEND_COST = 0.04  # of a clear edge: what a step by one sample costs
 STAYS = 0.4  # of its usual size, at least, that a lasting edge has in one picture
 NEAR = 2.0  # px: one sd of where it is expected there
-PASSES = 3  # over the edges of a picture
 _NO_EDGES = "no two edges of a body move with the tags"
 
 
@@ -210,18 +212,21 @@ def through_tags(stations: Stations, tags: Markers) -> Array:
 
 def straightened(sights: Iterable[Sight], stations: Stations, state: Array) -> Straightened:
     """The pictures along the curves of these numbers (T, 1 + K)."""
-    colours: list[NDArray[np.uint8]] = []
-    samples: list[Array] = []
-    for sight, one in zip(sights, state, strict=True):
-        curve = stations.curve(np.nan_to_num(one))
+    out: Array = np.zeros(0)
+
+    def one(seen: tuple[Sight, Array]) -> tuple[NDArray[np.uint8], Array]:
+        nonlocal out
+        sight, curve = seen[0], stations.curve(np.nan_to_num(seen[1]))
         normal, scale = sight.outward(curve)
-        if not colours:
+        if not len(out):
             widest = WIDEST * stations.length * float(np.max(scale))  # px
             out = np.arange(0.0, widest, max(STEP, widest / FINEST))
         places = sight.pixels(curve.xy)[:, None] + SIDES[:, None, None, None] * out[:, None] * normal[:, None]
-        colours.append(np.rint(np.nan_to_num(sight.planes.at(places))).astype(np.uint8))
-        samples.append(out[1] / scale)
-    return Straightened(state, np.stack(colours), np.stack(samples))
+        return (np.nan_to_num(sight.planes.at(places), copy=False) + 0.5).astype(np.uint8), out[1] / scale
+
+    with ThreadPoolExecutor(1) as beside:  # while the next picture is read
+        colour, sample = zip(*in_order(beside, one, zip(sights, state, strict=True), ahead=2), strict=True)
+    return Straightened(state, np.stack(colour), np.stack(sample))
 
 
 def lasting_edges(seen: Straightened, hidden: BoolArray, pixel_sd: Array) -> tuple[IntArray, Array]:
@@ -232,8 +237,7 @@ def lasting_edges(seen: Straightened, hidden: BoolArray, pixel_sd: Array) -> tup
         raise ObservationError(_NO_EDGES, about="outline")
     chosen = known[np.unique(np.linspace(0, len(known) - 1, LOOKED_AT).astype(int))]
     at = np.arange(SAMPLES_ASIDE, seen.colour.shape[-2] - SAMPLES_ASIDE)
-    inside, outside = sides_of(seen.colour[chosen].astype(np.float32), at)
-    size = np.median(np.linalg.norm((outside - inside) / pixel_sd, axis=-1), axis=0)  # (2, M, J)
+    size = np.median([step_size(seen.colour[one].astype(np.float32), at, pixel_sd) for one in chosen], axis=0)
     place: IntArray = np.empty(size.shape[:2], dtype=np.int64)
     for side in range(2):
         shown = np.where(hidden[:, None], 0.0, size[side])
@@ -256,16 +260,26 @@ def best_line(worth: Array) -> IntArray:
     return np.array(line[::-1])
 
 
-def edges_near(colour: NDArray[np.uint8], expected: Array, least: Array, pixel_sd: Array) -> Array:
+def step_size(colour: NDArray[np.float32], at: IntArray, pixel_sd: Array) -> NDArray[np.float32]:
+    """(..., j) sds by which colours (..., J, 3) differ on both sides of the samples `at` (j,)."""
+    inside, outside = sides_of(colour, at)
+    step = (outside - inside) / pixel_sd.astype(np.float32)
+    return np.asarray(np.sqrt(np.einsum("...c,...c->...", step, step)))
+
+
+def edges_near(
+    colour: NDArray[np.uint8], expected: Array, least: Array, pixel_sd: Array, *, fine: bool = True
+) -> Array:
     """(2, M) samples outward of the edges near the `expected` (2, M) in one straightened picture (2, M, J, 3); NaN
-    where none is as large as `least` (2, M), in sds of a colour."""
+    where none is as large as `least` (2, M), in sds of a colour. Not `fine`: to a sample."""
     first = np.rint(expected).astype(np.int64)
     window = np.clip(first[..., None] + np.arange(len(OUT)) - len(OUT) // 2, 0, colour.shape[2] - 1)
-    near = np.take_along_axis(colour, window[..., None], axis=2).astype(np.float32)
-    inside, outside = sides_of(near, MIDDLE)
-    size = np.linalg.norm((outside - inside) / pixel_sd, axis=-1)
-    best = np.argmax(size * np.exp(-0.5 * ((OUT[MIDDLE] - STEP * (expected - first)[..., None]) / NEAR) ** 2), axis=2)
-    place = edge_place(near, MIDDLE[best], pixel_sd)
+    rows = np.arange(first.size).reshape(*first.shape, 1) * colour.shape[2]
+    near = colour.reshape(-1, 3).take(rows + window, axis=0).astype(np.float32)
+    size = step_size(near, MIDDLE, pixel_sd)
+    off = (OUT[MIDDLE] - STEP * (expected - first)[..., None]).astype(np.float32) / NEAR
+    best = np.argmax(size * np.exp(-0.5 * off**2), axis=2)
+    place = edge_place(near, MIDDLE[best], pixel_sd) if fine else OUT[MIDDLE[best]]
     clear = (np.take_along_axis(size, best[..., None], axis=2)[..., 0] >= least) & (np.abs(place) < REACH)
     return np.asarray(np.where(clear, first + place / STEP, np.nan))
 
@@ -275,7 +289,7 @@ def with_tags(
 ) -> tuple[OutlineSearch, Array]:
     """The flanks in pictures whose `tags` are known, and half the body's width (M,) m."""
     seen = straightened(sights, stations, through_tags(stations, tags))
-    some = seen.colour[:: max(1, len(seen.colour) // LOOKED_AT)].astype(np.float32)
+    some = seen.colour[:: max(1, len(seen.colour) // NOISY)].astype(np.float32)
     pixel_sd = np.maximum(pixel_noise(some, axis=3), 1.0)
     place, size = lasting_edges(seen, hidden, pixel_sd)
     least = np.maximum(STAYS * size, LEAST)
@@ -284,11 +298,11 @@ def with_tags(
         if np.isnan(state[0]):
             found.append(np.full(place.shape, np.nan))
             continue
-        expected, sd = place.astype(float), MEASURED * float(np.median(sample)) / STEP
-        for _ in range(PASSES):
-            away = np.where(hidden, np.nan, edges_near(colour, expected, least, pixel_sd))
-            smooth = stations.fitted(state, SIDES[:, None] * (away - place) * sample, sd)
-            expected = place + SIDES[:, None] * (stations.across(stations.curve(state)) @ (smooth - state)) / sample
+        sd = MEASURED * float(np.median(sample)) / STEP
+        coarse = np.where(hidden, np.nan, edges_near(colour, place.astype(float), least, pixel_sd, fine=False))
+        smooth = stations.fitted(state, SIDES[:, None] * (coarse - place) * sample, sd)
+        expected = place + SIDES[:, None] * (stations.across(stations.curve(state)) @ (smooth - state)) / sample
+        away = np.where(hidden, np.nan, edges_near(colour, expected, least, pixel_sd))
         away = np.where(np.abs(away - expected) * STEP < NEAR, away, np.nan)
         found.append(SIDES[:, None] * away * sample)
     flanks, half = np.stack(found), 0.5 * place.sum(axis=0) * np.median(seen.sample, axis=0)
@@ -365,11 +379,12 @@ def outline_track(
     *,
     tags: Markers | None = None,
     apart: bool = False,
+    kept: KeptFrames | None = None,
     progress: Progress = Silent(),
 ) -> OutlineTrack:
     """The body's centreline in the `frames` (T,) of the film of `rec`, in which the base tags' corners (T, b, 4, 2)
     [px] are known; `view` is that of the base tag's plane and frame. Frames that are far `apart` are searched each by
-    itself, from the clamp on.
+    itself, from the clamp on. `kept` takes notice of all frames, so that others need not read the film again.
 
     Raises:
         RecordingError: the film cannot be read.
@@ -385,6 +400,8 @@ def outline_track(
     def sights() -> Iterator[Sight]:
         assert rec.video is not None
         for index, _, raw in track(progress, "Following the outline", timed(rec.video), len(frames)):
+            if kept is not None and not rec.video.topic:
+                kept.keep(rec.video, index, raw)
             if index in wanted:
                 yield Sight(planes_of(rec, index, raw), view, shift[wanted[index]])
 
@@ -425,10 +442,11 @@ def with_outline(
     number: IntArray,
     *,
     apart: bool = False,
+    kept: KeptFrames | None = None,
     progress: Progress = Silent(),
 ) -> Markers:
     """The `markers` of these detections, in frames of this `number`, with points of the body's outline; a note where
-    there are tags that the outline does not agree with, and it is left out.
+    there are tags that the outline does not agree with, and it is left out. `kept` as of `outline_track`.
 
     Raises:
         RecordingError, ObservationError: as `outline_track`, the second without tags on the body.
@@ -436,13 +454,15 @@ def with_outline(
     assert markers.view is not None
     base = detections.corners[:, : len(rec.tags.on_base)]
     each = math.ceil(len(number) / MOST_READ) if rec.tags.on_beam and not apart else 1
-    kept = np.arange(0, len(number), each)
-    of_kept = replace(markers, xy=markers.xy[kept], angle=markers.angle[kept]) if rec.tags.on_beam else None
+    read = np.arange(0, len(number), each)
+    of_read = replace(markers, xy=markers.xy[read], angle=markers.angle[read]) if rec.tags.on_beam else None
 
     def found() -> OutlineTrack:
         assert markers.view is not None
-        few = outline_track(rec, markers.view, base[kept], number[kept], tags=of_kept, apart=apart, progress=progress)
-        outline = spread_over(few, kept, len(number))
+        few = outline_track(
+            rec, markers.view, base[read], number[read], tags=of_read, apart=apart, kept=kept, progress=progress
+        )
+        outline = spread_over(few, read, len(number))
         hung: BoolArray = ~np.asarray(np.isfinite(detections.corners).any(axis=(1, 2, 3)))
         return replace(outline, sd=np.where(hung[:, None], np.nan, outline.sd))
 
