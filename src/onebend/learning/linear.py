@@ -188,16 +188,6 @@ class JointInformation:
         shared = np.sum([f.vector[:count] for f in self.forms], axis=0)
         return np.concatenate([shared, *(f.vector[count:] for f in self.forms)])
 
-    @property
-    def constant(self) -> float:
-        """c."""
-        return sum(f.constant for f in self.forms)
-
-    @property
-    def log_noise(self) -> float:
-        """Sum of the logs of the noise's sd."""
-        return sum(f.log_noise for f in self.forms)
-
     def times(self, x: Array) -> Array:
         """(P, ...) `H x`."""
         count = self.parts[0].stop
