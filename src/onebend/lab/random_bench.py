@@ -329,10 +329,14 @@ def random_bench(rng: np.random.Generator, chance: BenchRanges = BenchRanges(), 
         lost=float(rng.choice([0.0, 0.0, 0.01, 0.03])),
     )
     bench = replace(bench, declared=replace(bench.declared, tag_size=filming.tag_size))
-    filming = replace(filming, bench=bench)
-    if chance.effects is None:
-        return filming
-    return as_thick(replace(filming, bench=with_random_effects(bench, rng, chance.effects, tag_size=filming.tag_size)))
+    if chance.effects is not None:
+        bench = with_random_effects(bench, rng, chance.effects, tag_size=filming.tag_size)
+    return as_thick(_with_bench(filming, bench))
+
+
+def _with_bench(filming: Filming, bench: VirtualBench) -> Filming:
+    """With this bench; its mass is told where its motion has inertia."""
+    return replace(filming, bench=bench, mass_told=filming.mass_told and bench.effects.inertia)
 
 
 def as_thick(filming: Filming) -> Filming:
@@ -350,7 +354,7 @@ def design_with_effects(filming: Filming, rng: np.random.Generator, ranges: Effe
     if bench.effects.thickness:
         thickness = float(np.cbrt(np.mean(np.asarray(filming.width(PLACES)) ** 3)))  # that of the mean k
         bench = replace(bench, effects=replace(bench.effects, thickness=thickness))
-    return replace(filming, bench=bench)
+    return _with_bench(filming, bench)
 
 
 def random_beam(rng: np.random.Generator, chance: BenchRanges) -> tuple[Beam, Table]:
