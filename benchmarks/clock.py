@@ -100,7 +100,7 @@ def compare(rec: Recording, markers: Markers, log: ForceLog, truth: Truth) -> Ro
         force_first=error(force_at(first, markers.time + fit.clock.offset)[0], truth, contact),
         force_all=error(force_at(clean, markers.time + fit.clock.offset)[0], truth, contact),
         force_sd=clean.noise_sd,
-        contact_error=contact.begin - begin,
+        contact_error=float(markers.time[np.argmax(contact.loaded)]) - begin,
     )
 
 

@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parents[1] / "src" / "onebend"
 # From the lowest up. A name is a folder of the package, or a module.
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors", "options", "progress", "wings"),
-    ("extras", "records", "text_files"),
+    ("extras", "record_data", "records", "text_files"),
     ("beam", "crash", "files", "gauss_newton"),
     ("recording", "control"),
     ("learning",),

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from benchmarks.paper import study
 from onebend.progress import Progress, Silent
 from onebend.recording.entries import VideoEntry
-from onebend.recording.video import frame_at
+from onebend.recording.video import pictures_at
 from onebend.report.control_figures import draw_reach
 from onebend.report.figures import centreline, largest_push
 from onebend.report.page import render
@@ -272,7 +272,8 @@ def frames(outcome: study.StudyOutcome) -> Figure:
         panel.set_axis_off()
         t = largest_push(film.fit)
         file = outcome.work / study.RECORDINGS / film.observations.source.name / "video.mp4"
-        panel.imshow(frame_at(VideoEntry(file=file), int(film.fit.frame[t])))
+        [(_, picture)] = pictures_at(VideoEntry(file=file), [int(film.fit.frame[t])], colour=True)
+        panel.imshow(picture)
         panel.set_title(f"{one.name}, pushed at s = {film.fit.push_s[t]:.2g}, {np.hypot(*film.fit.force[t]):.2f} N")
     return figure
 

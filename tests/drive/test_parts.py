@@ -209,7 +209,7 @@ def test_a_point_between_tags_is_seen_by_its_neighbours() -> None:
     s = np.array([1 / 3, 2 / 3, 1.0, 0.8])
     bent = [beam.equilibrium((0.0, 0.3), 1.0) for beam in (model, true)]
     poses = [np.column_stack([np.asarray(one.xy(s)).reshape(-1, 2), np.ravel(one.angle(s))]) for one in bent]
-    seen = SeenBeam(0.0, 0.0, poses[1][:3, :2], poses[1][:3, 2], 1e-8 * np.tile(np.eye(3), (3, 1, 1)))
+    seen = SeenBeam(0.0, poses[1][:3, :2], poses[1][:3, 2], 1e-8 * np.tile(np.eye(3), (3, 1, 1)))
     point, sd = point_between(seen, s, poses[0], LENGTH)
     assert point == pytest.approx(poses[1][3, :2], abs=2e-5)
     assert np.linalg.norm(poses[0][3, :2] - poses[1][3, :2]) > 2e-3

@@ -13,7 +13,7 @@ import pytest
 from onebend.errors import RecordingError
 from onebend.live.recording_folder import FilmWriter, whole_boxes
 from onebend.recording.entries import VideoEntry
-from onebend.recording.video import FilmFrame, frame_at, read_frames
+from onebend.recording.video import FilmFrame, pictures_at, read_frames
 from onebend.records import Array
 
 RNG = np.random.default_rng(4)
@@ -118,7 +118,7 @@ def test_colours_stay_and_odd_sizes_lose_a_row(tmp_path: Path) -> None:
     for i in range(3):
         film.write(np.full((97, 129), 90, np.uint8), 0.1 * i, colour)
     film.close()
-    shown = frame_at(VideoEntry(path), 1)
+    [(_, shown)] = pictures_at(VideoEntry(path), [1], colour=True)
     assert shown.shape == (96, 128, 3)
     assert shown[..., 0].mean() > 1.5 * shown[..., 1].mean()
 

@@ -14,7 +14,7 @@ import pytest
 
 from onebend.errors import RecordingError
 from onebend.recording.entries import VideoEntry
-from onebend.recording.video import FilmFrame, frame_at, frame_count, rate_remarks, read_frames, upright
+from onebend.recording.video import FilmFrame, frame_count, pictures_at, rate_remarks, read_frames, upright
 
 WIDTH, HEIGHT = 64, 48
 CLOCK = Fraction(1, 1000)
@@ -95,15 +95,14 @@ def test_picture_without_a_luma_plane_is_made_grey(tmp_path: Path) -> None:
         assert np.abs(frame_read.luma.astype(int) - level).max() <= 30
 
 
-def test_frame_at_is_that_frame_in_colour(tmp_path: Path) -> None:
+def test_a_picture_is_that_frame_in_colour(tmp_path: Path) -> None:
     lumas = pictures(5)
     video = write_video(tmp_path / "a.mkv", lumas, [0, 40, 80, 120, 160])
-    colour = frame_at(video, 3)
+    [(_, colour)] = pictures_at(video, [3], colour=True)
     assert colour.shape == (HEIGHT, WIDTH, 3)
     full_range = (lumas[3].astype(float) - 16) * 255 / 219
     assert np.abs(colour.mean(axis=2) - full_range.clip(0, 255)).max() < 3
-    with pytest.raises(RecordingError, match="no frame 5"):
-        frame_at(video, 5)
+    assert not list(pictures_at(video, [5], colour=True))
 
 
 def test_missing_and_foreign_files_are_named(tmp_path: Path) -> None:

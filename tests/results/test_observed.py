@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from onebend.errors import ResultsError
+from onebend.record_data import fields_from, record_from, to_data
 from onebend.records import (
     ForceNoise,
     FrameMeans,
@@ -27,13 +28,7 @@ from onebend.records import (
     StatedSection,
     ToolTrack,
 )
-from onebend.results.observations_file import (
-    fields_from,
-    load_observations,
-    observations_beside,
-    save_observations,
-    to_data,
-)
+from onebend.results.observations_file import load_observations, observations_beside, save_observations
 from tests import made_up
 from tests.made_up import same, with_source
 
@@ -178,8 +173,9 @@ def test_a_field_that_has_no_way_to_json_and_back_is_an_error() -> None:
         to_data(Odd(1j))
     with pytest.raises(TypeError, match="no way from JSON"):
         fields_from(Holder, {"values": {"a": 1.0}})
-    with pytest.raises(ValueError, match=r"Remark has other fields: .*'about', 'doubt'"):
-        fields_from(Remark, {"level": "note", "text": "a"})
+    with pytest.raises(ValueError, match=r"Remark has other fields: .*'level', 'why'"):
+        fields_from(Remark, {"why": "note", "text": "a"})
+    assert record_from(Remark, {"level": "note", "text": "a"}) == Remark("note", "a")
 
 
 def test_a_filtered_force_log_comes_back_as_exact_as_its_filter_leaves_it(tmp_path: Path) -> None:

@@ -233,7 +233,6 @@ class Places:
     length: float  # m
     modes: Modes
     s: Array  # (S,)
-    grid: Grid
     to_nodes: Array  # (Q, n): a_i at the nodes
     to_places: Array  # (S, n): a_i at s
     rows: Array  # (S, Q): integral from 0 to s
@@ -242,7 +241,7 @@ class Places:
 def places(length: float, modes: Modes, s: Array, grid: Grid = _GRID) -> Places:
     """For `s` (S,) on a beam of `length` m."""
     s = np.asarray(s, dtype=float)
-    return Places(length, modes, s, grid, modes.angle(grid.nodes), modes.angle(s), grid.integral_to(s))
+    return Places(length, modes, s, modes.angle(grid.nodes), modes.angle(s), grid.integral_to(s))
 
 
 def angles(places: Places, theta: Array, alpha0: float = 0.0) -> Array:

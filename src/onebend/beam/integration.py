@@ -293,10 +293,6 @@ class Motion:
         """(T, S, 2) m at `s` (S,)."""
         return self.body.xy(np.atleast_1d(np.asarray(s, dtype=float)), self.theta)
 
-    def angle(self, s: ArrayLike) -> Array:
-        """(T, S) rad at `s` (S,)."""
-        return self.body.angle(np.atleast_1d(np.asarray(s, dtype=float)), self.theta)
-
     def states_at(self, time: ArrayLike) -> Array:
         """(R, n) by cubic interpolation (fourth order in the spacing).
 

@@ -328,10 +328,6 @@ class Problem:
         stretch, shear = self.compliance
         return np.asarray((stretch - shear) / (self.length * self.weights))
 
-    def under(self, dead_force: Array, q0: Array, alpha0: Array) -> Problem:
-        """The beams under dead forces (T, Q, 2) N alone, with this rest curvature and clamp angle."""
-        return replace(self, q0=q0, alpha0=alpha0, dead_force=dead_force, moment=np.zeros(dead_force.shape[:2]))
-
     def strained(self, share: Array) -> Problem:
         """With 1/EA and 1/kGA times `share` (T,)."""
         if self.compliance is None:

@@ -16,7 +16,6 @@ import numpy as np
 from onebend.beam.grid import apply, solve_each, transposed
 from onebend.beam.problem import Problem
 from onebend.beam.statics import Equilibrium, tangent
-from onebend.errors import MechanicsError
 from onebend.records import Array, IntArray
 
 
@@ -168,11 +167,6 @@ class Response:
         right = minus_gradient(self.solved, self.perturbation)
         return solve_each(tangent(self.solved.problem, self.solved.q), right)
 
-    @property
-    def alpha(self) -> Array:
-        """(T, Q, P)."""
-        return self.solved.problem.to_nodes @ self.q + self.perturbation.clamp
-
     def poses(self, s: Array) -> Array:
         """(T, S, 3, P) m, m, rad per unit, at `s` (S,) or (T, S)."""
         integral = self.solved.problem.grid.integral_to(s)
@@ -182,12 +176,6 @@ class Response:
         out = self._derivative_of(np.concatenate([moved, angle], axis=2), np.concatenate([turned, ones], axis=-1))
         self._add_strain(out[:, :, :2], integral)
         return out
-
-    def angle(self, s: Array) -> Array:
-        """(T, S, P) rad per unit."""
-        integral = self.solved.problem.grid.integral_to(s)
-        rows = np.broadcast_to(integral, (len(self.solved.q), *integral.shape[-2:]))
-        return self._derivative_of(rows, np.ones(rows.shape[:-1]))
 
     def xy(self, s: Array) -> Array:
         """(T, S, 2, P) m per unit."""
@@ -255,17 +243,6 @@ def of_stiffness(solved: Equilibrium, functions: Array) -> Perturbation:
     if section is not None and problem.compliance is not None:
         compliance = problem.compliance, section.log_by_stiffness(problem.k, problem.weights, functions)
     return Perturbation(None, None, (solved.q - problem.q0, functions), np.zeros(functions.shape[-1]), compliance)
-
-
-def of_section_thickness(problem: Problem, slope: float = 1.0) -> Perturbation:
-    """log h0 of the section, varied by `slope`; 1/EA and 1/kGA follow its square.
-
-    Raises `MechanicsError`: no section.
-    """
-    if problem.section is None or problem.compliance is None:
-        raise MechanicsError("there is no section whose thickness sets 1/EA and 1/kGA: give the problem a `section`")
-    functions = np.full((problem.to_nodes.shape[-1], 1), 2.0 * slope)
-    return Perturbation(None, None, None, np.zeros(1), (problem.compliance, functions))
 
 
 def of_rest_curvature(problem: Problem, functions: Array) -> Perturbation:

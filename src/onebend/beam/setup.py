@@ -30,6 +30,7 @@ from onebend.beam.sensitivity import of_clamp_angle, of_stiffness, respond
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import LogSpline, RectangularSection, UncertainStiffness
 from onebend.errors import MechanicsError
+from onebend.record_data import record_from
 from onebend.records import Array, BoolArray
 
 Renewed = Literal["contact", "tool", "sensor", "mounting"]  # contact: the same tool touches the beam elsewhere
@@ -303,24 +304,7 @@ class SetUp:
     def from_dict(data: Mapping[str, Any]) -> SetUp:
         """From `as_dict`. Raises `MechanicsError` where an entry is missing, unknown or not finite."""
         try:
-            mean, prior_sd = (np.asarray(data[name], dtype=float) for name in ("mean", "prior_sd"))
-            found = SetUp(
-                push_s=float(data["push_s"]),
-                force=(float(data["force"][0]), float(data["force"][1])),
-                tags=tuple(map(float, data["tags"])),
-                thickness=float(data["thickness"]),
-                sizes={str(name): int(count) for name, count in data["sizes"].items()},
-                mean=mean,
-                slope=np.asarray(data["slope"], dtype=float).reshape(len(mean), -1),
-                covariance=np.asarray(data["covariance"], dtype=float).reshape(len(mean), len(mean)),
-                prior_sd=prior_sd,
-                force_sd=float(data["force_sd"]),
-                discrepancy=float(data["discrepancy"]),
-                angle_discrepancy=float(data.get("angle_discrepancy", 0.0)),
-                times=tuple(map(float, data.get("times", ()))),
-                reached=tuple(map(float, data.get("reached", ()))),
-                reached_at_largest=tuple(map(float, data.get("reached_at_largest", ()))),
-            )
+            found = record_from(SetUp, data)
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             raise MechanicsError(f"describes no set-up ({error})") from error
         if not all(np.all(np.isfinite(np.asarray(v))) for name, v in vars(found).items() if name != "sizes"):

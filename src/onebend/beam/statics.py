@@ -66,8 +66,8 @@ def nodal_forces(problem: Problem, q: Array, load_factor: Array | float = 1.0) -
 
 def normal_and_shear(problem: Problem, forces: NodalForces) -> tuple[Array, Array]:
     """(T, Q) N each: N and Q under all loads."""
-    (x, y), cos, sin = np.moveaxis(problem.dead_force, -1, 0), forces.cos, forces.sin
-    return x * cos + y * sin, y * cos - x * sin
+    x, y = problem.dead_force[..., 0], problem.dead_force[..., 1]
+    return x * forces.cos + y * forces.sin, y * forces.cos - x * forces.sin
 
 
 def centreline_slope(problem: Problem, forces: NodalForces, load_factor: Array | float = 1.0) -> Array:

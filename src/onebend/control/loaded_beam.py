@@ -400,7 +400,6 @@ class PaperSettings:
 @dataclass(frozen=True)
 class PaperForce:
     force: Array  # (2,) N
-    point: Array  # (2,) m, of the modal beam
     iterations: int
     converged: bool  # the modal point is within the tolerance
 
@@ -416,20 +415,19 @@ def paper_force(
     mass = phi.T @ (weights[:, None] * phi)
     rest = np.linalg.solve(mass, phi.T @ (weights * beam.rest_curvature(grid.nodes)))
     at = places(beam.length, modes, np.array([push_s, point_s]))
-    theta, force, point = np.asarray(rest, dtype=float), np.zeros(2), np.full(2, np.nan)
+    theta, force = np.asarray(rest, dtype=float), np.zeros(2)
     for turn in range(1, settings.most + 1):
         push = jacobians(at, theta[None], beam.clamp_angle)[0, 0]
         theta = np.asarray(rest + flexible @ (push.T @ force), dtype=float)
-        point = positions(at, theta[None], beam.clamp_angle)[0, 1]
-        away = goal - point
+        away = goal - positions(at, theta[None], beam.clamp_angle)[0, 1]
         if np.linalg.norm(away) <= settings.tolerance:
-            return PaperForce(force, point, turn, True)
+            return PaperForce(force, turn, True)
         both = jacobians(at, theta[None], beam.clamp_angle)[0]
         step = np.linalg.pinv(both[1] @ flexible @ both[0].T, rcond=settings.cutoff) @ away
         force = force + settings.gamma * step
         if not np.all(np.isfinite(force)) or np.max(np.abs(theta)) > 1e3:
-            return PaperForce(np.nan_to_num(force), point, turn, False)
-    return PaperForce(force, point, settings.most, False)
+            return PaperForce(np.nan_to_num(force), turn, False)
+    return PaperForce(force, settings.most, False)
 
 
 FARTHEST_GOAL = 1e9  # m or rad

@@ -209,7 +209,6 @@ Edge = Literal["force", "stability"]
 @dataclass(frozen=True)
 class MapPlace:
     inside: bool
-    point: Array  # (2,) m: the goal, or the nearest edge point
     state: LoadedState  # to first order
     near: LoadedState  # an equilibrium of the map
     edge: Edge | None  # limit; None inside
@@ -259,7 +258,7 @@ class ReachMap:
             aim = np.zeros(2) if now is None else now.load[:2]
             best = inside[int(np.argmin(np.sum((loads - aim) ** 2, axis=1)))]
             corners = self.triangles[best]
-            return MapPlace(True, goal, self._between(corners, weights[best]), self._at(corners, weights[best]), None)
+            return MapPlace(True, self._between(corners, weights[best]), self._at(corners, weights[best]), None)
         begin, way = self.points[self.edges[:, 0]], np.diff(self.points[self.edges], axis=1)[:, 0]
         along = np.sum((goal - begin) * way, axis=1) / np.maximum(np.sum(way**2, axis=1), 1e-300)
         along = np.clip(along, 0.0, 1.0)
@@ -268,7 +267,7 @@ class ReachMap:
         share = np.array([1.0 - along[best], along[best]])
         corners = self.edges[best]
         edge: Edge = "force" if self.edge_is_force[best] else "stability"
-        return MapPlace(False, nearest[best], self._between(corners, share), self._at(corners, share), edge)
+        return MapPlace(False, self._between(corners, share), self._at(corners, share), edge)
 
     def _between(self, corners: IntArray, weights: Array) -> LoadedState:
         return LoadedState(weights @ self.q[corners], np.append(weights @ self.force[corners], 0.0))
@@ -449,11 +448,6 @@ class DragAnswer:
     state: LoadedState
     margin: float  # smallest eigenvalue of the scaled tangent: 1 without loads, 0 at loss of stability
     limit: Edge | None  # why the point is off its goal
-
-    @property
-    def away(self) -> float:
-        """m, from the goal."""
-        return float(np.hypot(*(self.pose - self.goal[:3] if len(self.goal) > 3 else self.pose[:2] - self.goal[:2])))
 
 
 class _Hand:

@@ -360,7 +360,6 @@ class DescentResult:
     multipliers: Array  # (n,) of `state.actuators.bounds`; positive if active
     converged: bool
     near_buckling: bool  # instability stopped the descent
-    steps: int
 
     @property
     def cost(self) -> float:
@@ -373,7 +372,7 @@ def descend(start: BeamState, targets: Targets, arm: float, settings: DescentSet
     state, residuals = start, target_residuals(start.solved, targets, arm)
     bounds, damping = start.actuators.bounds, settings.damping
     multipliers, barred, price = np.zeros(len(bounds)), False, 0.0
-    for step in range(settings.most):
+    for _ in range(settings.most):
         model = model_of(state, residuals)
         size = float(np.trace(np.abs(model.hessian))) + 1e-300
         z, multipliers = bounded_step(
@@ -383,7 +382,7 @@ def descend(start: BeamState, targets: Targets, arm: float, settings: DescentSet
         z = z * min(1.0, settings.stride / max(_turn(state, z), 0.5 * float(np.linalg.norm(z)), 1e-300))
         turn = _turn(state, z)
         if turn < _LAST_STEP and (damping < 1e-6 or np.linalg.norm(model.slope) < 1e-14):
-            return DescentResult(state, residuals, multipliers, True, barred, step)
+            return DescentResult(state, residuals, multipliers, True, barred)
         after = next_state(state, z, turn * (1.0 + _RETURN_SHARE) + 1e-3)
         stable = after is not None and after.margin > settings.least_margin
         if after is not None and stable:
@@ -400,8 +399,8 @@ def descend(start: BeamState, targets: Targets, arm: float, settings: DescentSet
         barred = after is not None and not stable
         damping = max(8.0 * damping, _FIRST_DAMPING)
         if damping > 1e8 or (barred and state.margin < _EDGE_MARGIN * settings.least_margin):
-            return DescentResult(state, residuals, multipliers, False, barred, step)
-    return DescentResult(state, residuals, multipliers, False, barred, settings.most)
+            break
+    return DescentResult(state, residuals, multipliers, False, barred)
 
 
 def _turn(state: BeamState, z: Array) -> float:

@@ -258,7 +258,7 @@ class Drive:
             if self.stage == "waiting" and rested >= 1.0 and enough:
                 self._settle(frame.picture.shape)
             return
-        self._seen.append(self.eye.beam(frame.arrival, time, corners))
+        self._seen.append(self.eye.beam(frame.arrival, corners))
 
     def _settle(self, shape: tuple[int, ...]) -> None:
         try:

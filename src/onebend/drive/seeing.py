@@ -68,7 +68,6 @@ class SeenBeam:
     """The beam at its tags, as one picture shows it."""
 
     arrival: float  # s, this machine's clock
-    time: float  # s, the film's
     xy: Array  # (m, 2) m, beam's frame; NaN where a tag is hidden
     angle: Array  # (m,) rad
     covariance: Array  # (m, 3, 3)
@@ -140,12 +139,12 @@ class Eye:
             gravity=np.asarray(gravity), largest=0.0,
         )  # fmt: skip
 
-    def beam(self, arrival: float, time: float, corners: Array) -> SeenBeam:
+    def beam(self, arrival: float, corners: Array) -> SeenBeam:
         """The beam in a picture after the rest."""
         assert self.reader is not None
         xy, angle, covariance = self.reader.poses(corners)
         angle = angle - self._turn
-        return SeenBeam(arrival, time, xy - rotated(self._offset, angle), angle, covariance)
+        return SeenBeam(arrival, xy - rotated(self._offset, angle), angle, covariance)
 
 
 def point_between(seen: SeenBeam, s: Array, modelled: Array, length: float) -> tuple[Array, float]:

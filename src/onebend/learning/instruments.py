@@ -22,6 +22,7 @@ from onebend.learning.frames import moved_by, read_alone, typical
 from onebend.learning.linear import Hyperparameters, log_k_map
 from onebend.learning.parameters import STATED_ERRORS, Layout
 from onebend.progress import one_blas_thread
+from onebend.record_data import record_from
 from onebend.records import DIRECTION_SD, GAIN_SD, PLACE_SD, Array, Observations, covariance_with_camera
 
 if TYPE_CHECKING:  # for the type alone: who reads a model loads no fit
@@ -65,7 +66,7 @@ class ForceDoubt:
         return np.asarray(behind.covariance(self.coloured, self.tau)[back].reshape(np.shape(lag)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Instruments:
     """All that decides what one more push would tell. m tags, p coefficients of log k, N shared nuisances."""
 
@@ -79,17 +80,17 @@ class Instruments:
     placement_sd: float  # m, a tag's place along and across the beam, before any data
     turn_sd: float  # rad, a tag's turn on the beam
     curvature_sd: float  # rad, states of the rest shape; 0 where the beam is straight
-    mass_sd: float  # of the mass; 0 where nothing weighs
-    mass_spread_sd: float  # of the mass: parts of an uneven mass per metre
+    mass_sd: float = 0.0  # of the mass; 0 where nothing weighs
+    mass_spread_sd: float = 0.0  # of the mass: parts of an uneven mass per metre
     clamp_sd: float  # rad, the clamp's direction, anew in every push
     origin_sd: float  # m, the clamp's place against the base tag
-    scale_sd: float  # of lengths in the picture; 0 with a calibrated camera
+    scale_sd: float = 0.0  # of lengths in the picture; 0 with a calibrated camera
     clock_sd: float  # s
     force: ForceDoubt
     gain_sd: float  # of the force's common scale
-    gravity: tuple[float, float]  # m/s^2 in the beam's frame
+    gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2 in the beam's frame
     curvature: float  # rad, the largest |q - q0| so far
-    pushes: tuple[PlannedPush, ...]  # made so far
+    pushes: tuple[PlannedPush, ...] = ()  # made so far
     shared: tuple[str, ...]  # which of `SHARED` are unknown, in that order
     shared_slope: Array  # (N, p) of their mean with the coefficients
     shared_covariance: Array  # (N, N) of what is left of them once the coefficients are known
@@ -132,17 +133,7 @@ class Instruments:
     def from_dict(data: dict[str, Any]) -> Instruments:
         """From `as_dict`. Raises `LearningError` where an entry is missing, unknown or not as it must be."""
         try:
-            entries = {**data, "force": ForceDoubt(**data["force"])}
-            for name in _OF_BEFORE:
-                entries.pop(name, None)
-            for name in ("tags", "gravity", "shared"):
-                entries[name] = tuple(entries[name])
-            for name in ("tag_sd", "shared_slope", "shared_covariance"):
-                entries[name] = np.asarray(data[name], dtype=float)
-            entries["shared_slope"] = entries["shared_slope"].reshape(len(data["shared_slope"]), -1)
-            entries["shared_covariance"] = entries["shared_covariance"].reshape(2 * (len(data["shared_slope"]),))
-            entries["pushes"] = tuple(PlannedPush(**{k: float(v) for k, v in one.items()}) for one in data["pushes"])
-            bench = Instruments(**entries)
+            bench = record_from(Instruments, {name: one for name, one in data.items() if name not in _OF_BEFORE})
             _check(bench)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise LearningError(f"describes no bench ({error})") from error

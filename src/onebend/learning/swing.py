@@ -19,6 +19,7 @@ from onebend.learning.outcome import Notice
 from onebend.learning.parameters import MASS_SPREAD
 from onebend.options import option
 from onebend.progress import one_blas_thread
+from onebend.record_data import record_from
 from onebend.records import Array, BoolArray, Observations, tags_among
 
 # Natural frequencies in signals of a free swing. All signals are a sum of damped sinusoids with common frequencies and
@@ -544,13 +545,9 @@ class Damping:
         if set(data) != set(names):
             raise LearningError(f"must have the keys {', '.join(names)}")
         try:
-            one = {
-                key: float(data[name]) for name, key in names.items() if key not in ("frequency", "ratio", "recording")
-            }
-            frequency, ratio = (tuple(float(v) for v in data[name]) for name in ("frequency_Hz", "ratio"))
+            found = record_from(cls, {key: data[name] for name, key in names.items()})
         except (TypeError, ValueError) as error:
             raise LearningError(f"holds no number where one should be ({error})") from error
-        found = cls(frequency=frequency, ratio=ratio, recording=str(data["recording"]), **one)
         numbers = (found.loss_time, *found.frequency, *found.ratio, found.loss_time_sd, found.frequency_sd)
         if not (np.all(np.isfinite(numbers)) and min(numbers) >= 0.0 and found.loss_time > 0.0 and found.frequency):
             raise LearningError("holds a number without meaning")

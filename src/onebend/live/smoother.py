@@ -15,7 +15,7 @@ from onebend.learning.linear import Hyperparameters, RecordingNoise
 from onebend.learning.normal import Draws
 from onebend.learning.optimizer import starting
 from onebend.learning.parameters import Layout
-from onebend.live import key_frames
+from onebend.live import key_frames, residuals
 from onebend.live.hyperparameters import OnlineSettings, StiffnessChains, expected_error
 from onebend.live.key_frames import CheckedFrame, CourseSoFar, LoadStages, expect_shape, write_frame
 from onebend.live.model import MOST_NODES, Lineariser, LiveSession, problem_of
@@ -26,16 +26,6 @@ from onebend.live.posterior import (
     model_of,
     nothing_marginalised,
     spans_of,
-)
-from onebend.live.residuals import (
-    FAR_OFF,
-    key_frame_doubts,
-    misfit,
-    missed_tag,
-    robust_weights,
-    surprise,
-    tag_noise_size,
-    tag_residuals,
 )
 from onebend.records import Array, BoolArray, ForceNoise
 from onebend.report.sentences import say
@@ -190,7 +180,7 @@ class Smoother:
         A tag too far from where it was expected gets no weight, unless that lasts for some frames.
         """
         keys, i = self.keys, self.keys.used - 1
-        innovation, distance = surprise(keys, frame, self.solution, self.x, self.sizes, self._expected[1:])
+        innovation, distance = residuals.surprise(keys, frame, self.solution, self.x, self.sizes, self._expected[1:])
         far = frame.visible & (distance > self._settings.gate)
         self._away = np.where(far, self._away + 1, np.where(frame.visible, 0, self._away))
         used = np.asarray(frame.visible & (~far | (self._away >= self._settings.patience)))
@@ -215,7 +205,7 @@ class Smoother:
             return
         self._turns += 1
         if self._turns % _TURNS == 0:
-            self._missed = missed_tag(self.keys)
+            self._missed = residuals.missed_tag(self.keys)
         elif self._turns % 2 and self._chains is not None:
             if not self.misfit.any():
                 self._chains.step(self.solution.stiffness_form)
@@ -237,7 +227,7 @@ class Smoother:
         keys, settings = self.keys, self._settings
         if self._chains is not None:
             self.hyperparameters = replace(self.hyperparameters, part_variances=self._chains.parts)
-        self.misfit = misfit(keys, self.sizes)
+        self.misfit = residuals.misfit(keys, self.sizes)
         try:
             self.solution = solution = self._solve()
         except np.linalg.LinAlgError:
@@ -247,12 +237,12 @@ class Smoother:
         step = solution.x - self.x
         largest = max(float(np.max(np.abs(step[: self._session.layout.spline.count]))), 1e-300)
         self.x = self.x + step * min(1.0, settings.step / largest)
-        residual = tag_residuals(keys, solution)
+        residual = residuals.tag_residuals(keys, solution)
         if settings.adapt:
-            marker = tag_noise_size(keys, residual, self._spent, settings.marker_noise)
+            marker = residuals.tag_noise_size(keys, residual, self._spent, settings.marker_noise)
             noise = replace(self.hyperparameters.noise[0], marker=marker)
             self.hyperparameters = replace(self.hyperparameters, noise=(noise,))
-        keys.weight[: keys.used] = robust_weights(keys, residual, self.noise, settings.bulk)
+        keys.weight[: keys.used] = residuals.robust_weights(keys, residual, self.noise, settings.bulk)
         fresh = not np.any(keys.stale[: keys.used])
         if fresh and solution.distance(keys.error[: keys.used], self.x - self.point) > _MOVED:
             self.move()
@@ -277,7 +267,7 @@ class Smoother:
 
     @property
     def _expected_error(self) -> ForceNoise:
-        return expected_error(self._settings, self._largest, self._rough > FAR_OFF)
+        return expected_error(self._settings, self._largest, self._rough > residuals.FAR_OFF)
 
     @property
     def _rough(self) -> float:
@@ -323,14 +313,14 @@ class Smoother:
     @property
     def doubts(self) -> tuple[str, ...]:
         """Reasons not to rely on the posterior as it is now; usually none."""
-        self._missed = missed_tag(self.keys)
+        self._missed = residuals.missed_tag(self.keys)
         return self.last_doubts
 
     @property
     def last_doubts(self) -> tuple[str, ...]:
         """The same, with the missed tag of the last look for one."""
         reasons = {"live: failed": self._failed, "live: too soft": self._too_soft}
-        own = key_frame_doubts(self.keys, self._rough, self._missed)
+        own = residuals.key_frame_doubts(self.keys, self._rough, self._missed)
         return (*(say(code) for code, holds in reasons.items() if holds), *own)
 
     def posterior(self) -> tuple[Array, Array, Array]:

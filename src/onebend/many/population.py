@@ -272,7 +272,6 @@ class Named:
     """A trial with names."""
 
     trial: PopulationTrial
-    recordings: tuple[str, ...]  # R
     objects: tuple[str, ...]  # O
     groups: tuple[str, ...]  # G
     identified: Array  # (G, S) share of recordings that identify k
@@ -320,7 +319,7 @@ def read_batch(folder: Path, by: str, same: str | None = None) -> Named:
         for one in (prior, identified)
     )
     trial = PopulationTrial(s, log_k, _not_negative(covariance - prior), object_of, group_of, alike, common)
-    return Named(trial, tuple(row["name"] for row in used), objects, groups, shares, left_out)
+    return Named(trial, objects, groups, shares, left_out)
 
 
 def _not_negative(matrices: Array) -> Array:

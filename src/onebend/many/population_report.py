@@ -44,7 +44,6 @@ class PopulationOutcome:
     told: BoolArray  # (G, S) identified by at least half of the recordings
     pairs: tuple[tuple[int, int], ...]  # of groups
     ratios: model.Curves  # of the logarithm, per pair
-    objects: model.Objects
     curves: model.Curves  # of log k, O
     within: Array  # (S,) of log k
     shares: model.Shares
@@ -60,7 +59,6 @@ def population(named: model.Named, setting: PopulationSettings = PopulationSetti
     pairs = list(combinations(groups, 2))
     if trial.groups > MOST_COMPARED:
         pairs = [(i, 0) for i in groups if i]
-    objects = model.shrunken(found)
     return PopulationOutcome(
         setting=setting,
         named=named,
@@ -68,8 +66,7 @@ def population(named: model.Named, setting: PopulationSettings = PopulationSetti
         told=told,
         pairs=tuple(pairs),
         ratios=model.differences(found, pairs) if pairs else model.Curves(*[np.zeros((0, len(trial.s)))] * 3),
-        objects=objects,
-        curves=model.banded(objects, trial.common_sd),
+        curves=model.banded(model.shrunken(found), trial.common_sd),
         within=model.within(found),
         shares=model.shares(found),
         outliers=model.outliers(found),

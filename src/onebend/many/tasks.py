@@ -29,6 +29,7 @@ from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import Nuisance
 from onebend.pipeline import Run, learn
 from onebend.progress import available_cores, end_now, end_with_parent, interrupts_held
+from onebend.record_data import record_from, to_data
 from onebend.recording.entries import Recording
 from onebend.recording.folder import FILE_NAME, HOMES, folder_of, read_recording
 from onebend.recording.observe import ObserveSettings
@@ -37,7 +38,6 @@ from onebend.report.pictures import Pictures
 from onebend.report.sentences import all_remarks
 from onebend.report.verdict import verdict_of
 from onebend.results.learned_files import LEARN_FORMAT, learned_writer, summary_of
-from onebend.results.observations_file import fields_from, to_data
 from onebend.results.provenance import InputFile, as_data, files_of, inputs_of, provenance
 from onebend.text_files import csv_rows, quoted
 
@@ -240,7 +240,7 @@ def read_record(out: Path, hashed: str) -> Record | None:
     data = publishing.read_object(record_path(out, hashed), LARGEST)
     if data is None or not publishing.is_unchanged(data) or (data.get("format"), data.get("hash")) != (FORMAT, hashed):
         return None
-    return Record(**fields_from(Record, {name: data[name] for name in set(data) - {"format", publishing.OWN_CHECKSUM}}))
+    return record_from(Record, {name: data[name] for name in set(data) - {"format", publishing.OWN_CHECKSUM}})
 
 
 FOLDERS = "recordings"  # with `folders`

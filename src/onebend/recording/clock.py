@@ -9,7 +9,6 @@ import numpy as np
 from onebend.recording.clock_evidence import (
     BinnedLog,
     Prior,
-    SensorLag,
     averaged_over,
     compared_rows,
     feature_scans,
@@ -103,7 +102,7 @@ class ClockFit:
     noise: ForceNoise | None = None  # of the log; None where it was not fitted
     remarks: tuple[Remark, ...] = ()
     rate: float = float("nan")  # Hz, bandwidth of the tags' motion
-    lag: SensorLag | None = None  # of a slow sensor
+    lag: float | None = None  # s, of a slow sensor
 
 
 def fit_clock(

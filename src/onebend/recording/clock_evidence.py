@@ -415,16 +415,8 @@ LAG_REACH, MARGIN = 1.0, 0.1  # offsets compared: from this many lags before the
 LAGS_APART, OF_LAG = 0.05, 0.1  # s between them, or this share of the lag where that is more
 
 
-@dataclass(frozen=True)
-class SensorLag:
-    """A first-order lag of the force sensor."""
-
-    tau: float  # s
-    evidence: float  # its log, over that of a quick sensor
-
-
-def find_lag(film: FilmFeatures, log: ForceLog, offset: float, settings: ClockSettings) -> SensorLag | None:
-    """The lag of the sensor that wrote `log`, where it is certain. `offset` [s] is the clock's as found."""
+def find_lag(film: FilmFeatures, log: ForceLog, offset: float, settings: ClockSettings) -> float | None:
+    """s, the lag (first-order) of the sensor that wrote `log`, where it is certain. `offset` [s]: the clock's."""
     rows = compared_rows(film, log, (offset - LAG_REACH * SLOW[-1] - MARGIN, offset + MARGIN), settings)
     if rows is None or not film.tracks:
         return None
@@ -447,7 +439,7 @@ def find_lag(film: FilmFeatures, log: ForceLog, offset: float, settings: ClockSe
     fine = np.geomspace((*QUICK[-1:], *slow)[best], slow[best + 1], 9)
     logs = np.array([lag_evidence(rested, rows, offset, lag, within=float(fine[-1])) for lag in fine])
     weight = np.exp(logs - np.max(logs))
-    return SensorLag(tau=float(weight @ fine / np.sum(weight)), evidence=float(np.max(logs)))
+    return float(weight @ fine / np.sum(weight))
 
 
 def lag_evidence(track: Track, rows: BinnedLog, offset: float, tau: float, *, within: float = 0.0) -> float:

@@ -46,8 +46,6 @@ class Contact:
     loaded: BoolArray  # (T,)
     rests: tuple[tuple[float, float], ...]  # s, spans with a free beam, margin taken off; usable for the force's tare
     still: BoolArray  # (T,) free and standing still: the rest shape can be read
-    begin: float  # s, first contact; NaN where there is none
-    end: float  # s, end of the last contact; infinite where it outlasts the film; NaN where there is none
     remarks: tuple[Remark, ...] = ()
 
 
@@ -68,7 +66,7 @@ def find_contact(
         )
         loaded = np.full(len(time), log is not None)
         remark = Remark("warning", text, about="no rest")
-        return Contact(loaded, (), np.zeros(len(time), dtype=bool), float(time[0]), np.inf, (remark,))
+        return Contact(loaded, (), np.zeros(len(time), dtype=bool), (remark,))
     first = int(np.argmax(departed > threshold)) if np.any(departed > threshold) else len(time)
     returned = departed < max(threshold, settings.returned * float(departed.max()))
     returned[:first] = True
@@ -86,10 +84,7 @@ def find_contact(
         remarks.append(Remark("warning", text, about="no rest"))
     spans = tuple(shrunk(time, start, stop, settings) for start, stop in runs(free))
     rests = tuple((low, high) for low, high in spans if high - low >= 0.5 * settings.shortest_rest)
-    touched = np.flatnonzero(~free)
-    begin = float(time[touched[0]]) if len(touched) else np.nan
-    end = np.nan if not len(touched) else np.inf if touched[-1] == len(time) - 1 else float(time[touched[-1]])
-    return Contact(~free, rests, still & free, begin, end, tuple(remarks))
+    return Contact(~free, rests, still & free, tuple(remarks))
 
 
 def departure(markers: Markers, settings: ContactSettings) -> tuple[Array, float]:
@@ -370,7 +365,7 @@ def match_clocks(
 
         fit = fitted(log)
         if fit.lag is not None:
-            log, remark = without_lag(log, fit.lag.tau, choose_cutoff(fit.rate, force)), _slow_words(fit.lag.tau)
+            log, remark = without_lag(log, fit.lag, choose_cutoff(fit.rate, force)), _slow_words(fit.lag)
             fit = fitted(log)
             fit = replace(fit, remarks=(remark, *fit.remarks))
     if base is not None and not fit.clock.found:

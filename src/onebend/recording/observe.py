@@ -12,6 +12,7 @@ import numpy as np
 from onebend.errors import ObservationError, RecordingError
 from onebend.options import option
 from onebend.progress import Progress, Silent, one_blas_thread
+from onebend.recording import tracks
 from onebend.recording.beam_frame import BaseLog, RestShape, gravity_in_frame, read_base_log, rest_shape, to_beam_frame
 from onebend.recording.camera import check_turns, measure_markers
 from onebend.recording.clock_features import ClockSettings
@@ -35,16 +36,6 @@ from onebend.recording.signals import MOST_FRAMES, check_span
 from onebend.recording.stated import stated_in
 from onebend.recording.tags import detect_tags
 from onebend.recording.tool import tool_checked, tool_in_film
-from onebend.recording.tracks import (
-    SwingSignals,
-    frequency_observations,
-    signals_of_markers,
-    signals_of_table,
-    signals_of_tracks,
-    track_markers,
-    with_angles,
-    with_frequencies,
-)
 from onebend.recording.video import KeptFrames, spacing_of
 from onebend.records import (
     Array,
@@ -112,8 +103,8 @@ def observe(
     """
     rec = recording if isinstance(recording, Recording) else read_recording(recording)
     if rec.frequencies and rec.only_frequencies:
-        return frequency_observations(rec)
-    return with_frequencies(_shown(rec, settings, detections, detect, frames, progress), rec)
+        return tracks.frequency_observations(rec)
+    return tracks.with_frequencies(_shown(rec, settings, detections, detect, frames, progress), rec)
 
 
 def _shown(
@@ -132,7 +123,7 @@ def _shown(
     log = read_log(rec)
     base = read_base_log(rec.gravity.base_angle_file) if rec.gravity and rec.gravity.base_angle_file else None
     if rec.markers is not None:
-        return assemble(rec, track_markers(rec, settings.contact), log, base, settings)
+        return assemble(rec, tracks.track_markers(rec, settings.contact), log, base, settings)
     if rec.video is None:
         raise ObservationError(f"{rec.folder}: recording.toml names no [video]. Add one.")
     if detections is None:
@@ -162,12 +153,12 @@ def observe_markers(
     rec: Recording, markers: Markers, log: ForceLog | None, settings: ObserveSettings = ObserveSettings()
 ) -> Observations:
     """The observations of tags and force that were read elsewhere, as from a live camera; raises as `observe`."""
-    return with_frequencies(assemble(rec, markers, log, None, settings), rec)
+    return tracks.with_frequencies(assemble(rec, markers, log, None, settings), rec)
 
 
 def swing_signals(
     source: Path | str, *, threads: int | None = None, detect: Detect = detect_tags, progress: Progress = Silent()
-) -> SwingSignals:
+) -> tracks.SwingSignals:
     """What swings in a recording (a film or tracks; no rest and no force is needed), or in a table over time.
 
     Raises:
@@ -175,14 +166,14 @@ def swing_signals(
         ObservationError: no tags.
     """
     if Path(source).is_file() and Path(source).name != FILE_NAME:
-        return signals_of_table(Path(source))
+        return tracks.signals_of_table(Path(source))
     rec = read_recording(source)
     if rec.markers is not None:
-        return signals_of_tracks(rec)
+        return tracks.signals_of_tracks(rec)
     if rec.video is None:
         raise RecordingError(f"{rec.folder}: nothing in it moves. Give a film or tracks of a free swing, or a table")
     detections = detect(rec.video, rec.tags, threads=threads, progress=progress)
-    return signals_of_markers(measure_markers(detections.of_searched()[0], rec), rec.name)
+    return tracks.signals_of_markers(measure_markers(detections.of_searched()[0], rec), rec.name)
 
 
 @one_blas_thread
@@ -197,7 +188,7 @@ def assemble(
         )
     check_span(markers.time, rec.name, most=MOST_FRAMES)
     # Clocks and contact are read with angles; only measured ones are learned from.
-    reading = with_angles(of_markers(markers, read_before_fit(markers)))
+    reading = tracks.with_angles(of_markers(markers, read_before_fit(markers)))
     log, fit = match_clocks(rec, reading, log, base, settings.clock, settings.force)
     contact = find_contact(reading, log, offset=fit.clock.offset, settings=settings.contact)
     time, clean = markers.time + fit.clock.offset, None
@@ -210,7 +201,7 @@ def assemble(
     gravity = gravity_in_frame(rec.gravity, base, markers, time)
     in_frame, rest, frame_remarks = to_beam_frame(markers, contact.still, rec.tags.placement_sd, gravity)
     few = of_markers(in_frame, read_before_fit(in_frame))
-    angled = with_angles(few)
+    angled = tracks.with_angles(few)
     bare = rest_shape(angled, contact.still)
     implausible = check_direction(rec, angled, bare, force, push_s, loaded, refuse=settings.check_force)
     if np.any(tags_among(few)):  # points of an outline have no angle of their own

@@ -30,7 +30,6 @@ class PrintedTag:
     """A tag's cells. `size_m` of a recording is the side of the square of `border` cells in the middle of them."""
 
     id: int
-    family: str
     cells: BoolArray  # (n, n) True where white; row 0 is the printed upper edge, column 0 the left one
     border: int  # cells along the side of the square whose corners are detected
 
@@ -79,7 +78,7 @@ def printed_tag(tag_id: int, family: str = FAMILIES[0]) -> PrintedTag:
         if code >> (len(layout.bit_x) - 1 - bit) & 1:
             cells[start + y, start + x] = True
     cells.setflags(write=False)
-    return PrintedTag(tag_id, family, cells, layout.border)
+    return PrintedTag(tag_id, cells, layout.border)
 
 
 @cache

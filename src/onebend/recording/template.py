@@ -14,16 +14,7 @@ import numpy as np
 
 from onebend.errors import OnebendError, RecordingError, ResultsError
 from onebend.files.single_file import FILMS, LOGS, write_file
-from onebend.recording.entries import (
-    FAMILIES,
-    BeamEntry,
-    CameraEntry,
-    FrequencyEntry,
-    GravityEntry,
-    TagEntry,
-    TagsEntry,
-    VideoEntry,
-)
+from onebend.recording import entries
 from onebend.recording.folder import FILE_NAME, FORMAT, SECTIONS
 from onebend.recording.force_log import OTHER_TIME, TIMES, likely_forces, unit_in_name
 from onebend.recording.schema import keys_of
@@ -153,7 +144,7 @@ def found_in_film(path: Path) -> FoundInFiles:
     from onebend.recording.preview import LOOKS, spread_frames  # here: without a film nothing decodes one
     from onebend.recording.video import opened
 
-    frames, _, whole = spread_frames(VideoEntry(file=path), LOOKS)
+    frames, _, whole = spread_frames(entries.VideoEntry(file=path), LOOKS)
     height, width = frames[0].luma.shape
     with opened(path) as container:
         made = str(container.metadata.get("creation_time", ""))[:10]
@@ -170,7 +161,7 @@ def found_in_film(path: Path) -> FoundInFiles:
         return FoundInFiles(notes=(f"{note}; no tag in it",))
     base = min(middle, key=lambda tag: float(np.std(places[tag], axis=0).sum()))
     beam = sorted(middle.keys() - {base}, key=lambda tag: float(np.linalg.norm(middle[tag] - middle[base])))
-    values = {} if family == FAMILIES[0] else {"tags": {"family": to_json(family)}}
+    values = {} if family == entries.FAMILIES[0] else {"tags": {"family": to_json(family)}}
     known = f"tags {', '.join(map(str, sorted(middle)))}, of which tag {base} moves least"
     return FoundInFiles(values, (base,), tuple(beam), (f"{note}; {known}",))
 
@@ -178,11 +169,11 @@ def found_in_film(path: Path) -> FoundInFiles:
 def _tags_in(frames: list[FilmFrame]) -> tuple[str, tuple[tuple[Sighting, ...], ...]]:
     from onebend.recording.preview import search  # here, as above
 
-    for family in FAMILIES:
+    for family in entries.FAMILIES:
         found = search(frames, family, ())
         if any(found):
             return family, found
-    return FAMILIES[0], ()
+    return entries.FAMILIES[0], ()
 
 
 def found_in_log(path: Path) -> FoundInFiles:
@@ -240,16 +231,16 @@ def template(kind: Kind = "video", found: FoundInFiles = FoundInFiles(), *, ever
         f"# {WHAT[kind]}, for onebend. Fill in what is empty. Units are in the names.",
         *(f"# {note}" for note in found.notes),
         f"\nformat = {FORMAT}\n",
-        table("[beam]", BeamEntry, beam),
-        *([table("[tags]", TagsEntry, tags)] if everything or camera else []),
-        *([table("[[tags.on_base]]", TagEntry, {"id": str(*found.base)})] if camera else []),
-        *(table(listed, TagEntry, one) for one in places),
+        table("[beam]", entries.BeamEntry, beam),
+        *([table("[tags]", entries.TagsEntry, tags)] if everything or camera else []),
+        *([table("[[tags.on_base]]", entries.TagEntry, {"id": str(*found.base)})] if camera else []),
+        *(table(listed, entries.TagEntry, one) for one in places),
         *(table(f"[{name}]", SECTIONS[name], keys) for name, keys in values.items()),
     ]
     if everything:
-        parts += [optional(CAMERA, table("[camera]", CameraEntry, {}))] if camera else []
-        parts += [optional(GRAVITY, table("[gravity]", GravityEntry, {}))] if "gravity" not in values else []
-        parts += [optional(FREQUENCIES, table("[[frequencies]]", FrequencyEntry, {}))]
+        parts += [optional(CAMERA, table("[camera]", entries.CameraEntry, {}))] if camera else []
+        parts += [optional(GRAVITY, table("[gravity]", entries.GravityEntry, {}))] if "gravity" not in values else []
+        parts += [optional(FREQUENCIES, table("[[frequencies]]", entries.FrequencyEntry, {}))]
     return "\n".join(parts)
 
 

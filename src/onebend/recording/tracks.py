@@ -12,19 +12,11 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from onebend.errors import ObservationError, RecordingError
+from onebend.recording import signals
 from onebend.recording.camera import MOVED, RUNNING, lengths_apart, order_hint, rotated, unwrap
 from onebend.recording.entries import FrequencyEntry, GravityEntry, Recording
 from onebend.recording.force import ContactSettings, find_contact
 from onebend.recording.outline import PLACES, POINTS
-from onebend.recording.signals import (
-    LATEST,
-    MAD_TO_SD,
-    MOST_FRAMES,
-    check_span,
-    copies_in_motion,
-    from_clamp,
-    running_median,
-)
 from onebend.recording.stated import stated_in
 from onebend.recording.tables import Columns, read_columns, read_every_column
 from onebend.records import (
@@ -150,7 +142,7 @@ def chord_angles(xy: Array, s: Array) -> Array:
     small enough for clocks and rests, not for learning. NaN where a marker or a neighbour is missing.
     """
     order = np.argsort(s, kind="stable")
-    places, points, _ = from_clamp(s, xy, np.zeros(xy.shape[:2]))
+    places, points, _ = signals.from_clamp(s, xy, np.zeros(xy.shape[:2]))
     span = np.maximum(np.diff(places), 1e-9)
     chord = np.diff(points, axis=1)
     turn = np.arctan2(chord[..., 1], chord[..., 0])
@@ -335,14 +327,14 @@ def read_tracks(rec: Recording) -> Tracks:
     known = ("z_m", "angle_rad", "sd_m")
     table = read_columns(entry.file, ("time_s", "x_m", "y_m"), ("id", "order", *known), kind="marker table")
     time, wanted = table.get("time_s"), [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
-    table.refuse(~(np.abs(time) < LATEST), "time_s is empty or no time. Remove the row, or give its time.")
+    table.refuse(~(np.abs(time) < signals.LATEST), "time_s is empty or no time. Remove the row, or give its time.")
     drawn = curve_rows(table, "" if rec.tags.on_beam else "[[tags.on_beam]]")
     table.refuse(~drawn & (table.get("id") != np.round(table.get("id"))), "id is no whole number. Number the markers.")
     table.refuse(table.get("sd_m") <= 0.0, "sd_m must be above zero.")
     for name in ("x_m", "y_m", *known):
         table.refuse(np.abs(table.get(name)) > FARTHEST_M, f"{name} is more than {FARTHEST_M:g}. Is it in metres?")
     times, frame = np.unique(time, return_inverse=True)
-    check_span(times, str(entry.file), most=MOST_FRAMES)
+    signals.check_span(times, str(entry.file), most=signals.MOST_FRAMES)
     grids = {name: np.full((len(times), len(wanted)), np.nan) for name in ("x_m", "y_m", *known)}
     strangers = sorted(set(table.get("id")[~drawn].tolist()) - set(wanted))
     for i, marker in enumerate(wanted):
@@ -399,7 +391,7 @@ def _without_copies(tracks: Tracks) -> Tracks:
     """Without the frames that repeat all places of the frame before while the markers move."""
     change = np.abs(np.diff(tracks.xy, axis=0))
     digit = float(np.min(change, where=change > 0.0, initial=np.inf))  # rounded places stay where a marker moves slowly
-    stale = copies_in_motion(tracks.time, tracks.xy, 0.5 * digit, 5.0 * digit)
+    stale = signals.copies_in_motion(tracks.time, tracks.xy, 0.5 * digit, 5.0 * digit)
     if not stale.any():
         return tracks
     text = (
@@ -419,7 +411,7 @@ def base_motion(tracks: Tracks, base: int) -> tuple[Array, Array, tuple[Remark, 
     if base == 0:
         return np.zeros((count, 2)), np.zeros(count), ()
     xy, angle = tracks.xy[:, :base], tracks.angle[:, :base]
-    middle, smooth = np.nanmedian(xy, axis=0), running_median(_held(xy.reshape(count, -1)), RUNNING)
+    middle, smooth = np.nanmedian(xy, axis=0), signals.running_median(_held(xy.reshape(count, -1)), RUNNING)
     step = np.nan_to_num(np.linalg.norm(smooth.reshape(xy.shape) - middle, axis=-1))
     if not np.any(step > MOVED * np.nanmedian(tracks.sd[:, :base], axis=0)):
         return np.broadcast_to(middle[0], (count, 2)), np.zeros(count), ()
@@ -487,7 +479,7 @@ def _noise(values: Array, least: float, unknown: float) -> Array:
     bends = np.abs(np.diff(np.atleast_3d(values), n=2, axis=0)) / math.sqrt(6)
     known = np.isfinite(bends).any(axis=(0, 2))
     sd = np.full(values.shape[1], unknown)
-    sd[known] = np.maximum(MAD_TO_SD * np.nanmedian(bends[:, known], axis=(0, 2)), least)
+    sd[known] = np.maximum(signals.MAD_TO_SD * np.nanmedian(bends[:, known], axis=(0, 2)), least)
     return sd
 
 
@@ -545,7 +537,6 @@ class SwingSignals:
     name: str
     time: Array  # (N,) s
     value: Array  # (N, C) each in a unit of its own
-    labels: tuple[str, ...]  # (C,)
 
 
 def signals_of_table(path: Path) -> SwingSignals:
@@ -556,20 +547,18 @@ def signals_of_table(path: Path) -> SwingSignals:
     labels = tuple(name for name in table.numbers if name != TIME and np.isfinite(table.numbers[name]).any())
     if not labels:
         raise RecordingError(f"{path}: there is nothing beside {TIME}. Add a column for each signal, such as y_m.")
-    return SwingSignals(path.name, table.get(TIME), np.stack([table.numbers[name] for name in labels], axis=1), labels)
+    return SwingSignals(path.name, table.get(TIME), np.stack([table.numbers[name] for name in labels], axis=1))
 
 
 def signals_of_tracks(rec: Recording) -> SwingSignals:
     """Of the markers of a recording, or of its curve, in the tracker's plane."""
     tracks, base = read_tracks(rec), len(rec.tags.on_base)
-    ids = [*(tag.id for tag in rec.tags.on_beam), *range(POINT_ID, POINT_ID + tracks.curve)]
-    beam = tracks.xy[:, base:]
-    return _places(rec.name, tracks.time, beam, ids)
+    return _places(rec.name, tracks.time, tracks.xy[:, base:])
 
 
 def signals_of_markers(markers: Markers, name: str) -> SwingSignals:
     """Of tags in a film, against the base tag."""
-    return _places(name, markers.time, markers.xy, markers.tag_id.tolist())
+    return _places(name, markers.time, markers.xy)
 
 
 def _of_points(path: Path) -> SwingSignals:
@@ -578,12 +567,11 @@ def _of_points(path: Path) -> SwingSignals:
     ids, column = np.unique(table.get("id"), return_inverse=True)
     places = np.full((len(time), len(ids), 2), np.nan)
     places[row, column] = np.stack([table.get("x_m"), table.get("y_m")], axis=1)
-    return _places(path.name, time, places, [int(one) for one in ids])
+    return _places(path.name, time, places)
 
 
-def _places(name: str, time: Array, xy: Array, ids: list[int]) -> SwingSignals:
-    labels = tuple(f"{axis} of {one}" for one in ids for axis in "xy")
-    return SwingSignals(name, time, xy.reshape(len(time), -1), labels)
+def _places(name: str, time: Array, xy: Array) -> SwingSignals:
+    return SwingSignals(name, time, xy.reshape(len(time), -1))
 
 
 def measured_frequencies(rec: Recording) -> tuple[MeasuredFrequency, ...]:

@@ -101,14 +101,6 @@ def timed(video: VideoEntry) -> Iterator[tuple[int, float, Any]]:
         )
 
 
-def frame_at(video: VideoEntry, index: int) -> Picture:
-    """Frame `index` in colour, (H, W, 3) RGB, as a person sees it; `RecordingError` where the video has none."""
-    for _, picture in pictures_at(video, [index], colour=True):
-        return picture
-    of = f" of {video.topic}" if video.topic else ""
-    raise RecordingError(f"{video.file} has no frame {index}{of}.")
-
-
 def pictures_at(video: VideoEntry, indices: Collection[int], *, colour: bool = False) -> Iterator[tuple[int, Picture]]:
     """Those of these frames that the video has, in order, with their indices; each as from `picture_in`."""
     if not indices:

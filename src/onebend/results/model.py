@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -20,6 +20,7 @@ from onebend.beam.stiffness import Profile, UncertainStiffness
 from onebend.errors import MechanicsError, OnebendError, ResultsError
 from onebend.files.publish import OWN_CHECKSUM, SUMMARY, is_listed_otherwise, is_unchanged, with_checksum
 from onebend.learning.outcome import Comparison, Learned, modulus_along
+from onebend.record_data import record_from
 from onebend.records import Array, StatedSection
 from onebend.text_files import quoted, read_json
 
@@ -216,7 +217,7 @@ def read_model(path: Path | str) -> StoredModel:
         uncertain = replace(uncertain, doubts=(*uncertain.doubts, f"{file.name} {changed}"))
     return StoredModel(
         beam=beam,
-        origin=_part(file, data, "origin", _origin),
+        origin=_part(file, data, "origin", partial(record_from, Origin)),
         uncertain=uncertain,
         bench=_part(file, data, "bench", _bench),
         setup=_part(file, data, "setup", partial(_setup, uncertain)) if data["version"] >= _OF_PLACES else None,
@@ -271,13 +272,6 @@ def _part(file: Path, data: dict[str, Any], name: str, read: Callable[[Any], Par
         return None if data.get(name) is None else read(data[name])
     except (OnebendError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise ResultsError(f"{file}: key {name!r} is not as onebend writes it ({error}). {_ADVICE}") from error
-
-
-def _origin(data: Any) -> Origin:
-    if set(data) != {field.name for field in fields(Origin)}:
-        raise ValueError("it has other entries")
-    values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in data.items()}
-    return Origin(**values)
 
 
 def _bench(data: Any) -> Instruments:

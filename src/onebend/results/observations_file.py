@@ -5,12 +5,9 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Collection
-from dataclasses import fields, is_dataclass, replace
-from functools import cache
+from dataclasses import replace
 from pathlib import Path
-from types import UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -18,64 +15,8 @@ import pyarrow.parquet as pq
 
 from onebend.errors import ResultsError
 from onebend.files.publish import SUMMARY, is_listed_otherwise
+from onebend.record_data import fields_from, to_data
 from onebend.records import Array, CleanForce, Observations
-
-# Frozen records as JSON by their fields; arrays as shape, type and values.
-
-
-def to_data(record: Any, leave_out: Collection[str] = ()) -> dict[str, Any]:
-    return {item.name: _data(getattr(record, item.name)) for item in fields(record) if item.name not in leave_out}
-
-
-def fields_from(kind: type, data: dict[str, Any], leave_out: Collection[str] = ()) -> dict[str, Any]:
-    """Fields of a record of `kind`, typed. Raises `ValueError` for a missing or unknown field."""
-    types = {name: type_ for name, type_ in _types(kind).items() if name not in leave_out}
-    if set(types) != set(data):
-        raise ValueError(f"{kind.__name__} has other fields: {sorted(set(types) ^ set(data))}")
-    return {name: _value(type_, data[name]) for name, type_ in types.items()}
-
-
-@cache
-def _types(kind: type) -> dict[str, Any]:
-    hints = get_type_hints(kind)
-    return {item.name: hints[item.name] for item in fields(kind)}
-
-
-def _data(value: Any) -> Any:
-    if is_dataclass(value):
-        return to_data(value)
-    if isinstance(value, np.ndarray):
-        return {"shape": list(value.shape), "type": str(value.dtype), "values": value.ravel().tolist()}
-    if isinstance(value, tuple):
-        return [_data(item) for item in value]
-    if isinstance(value, Path):
-        return str(value)
-    if isinstance(value, np.generic):
-        return value.item()
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
-    raise TypeError(f"no JSON for a {type(value).__name__}")
-
-
-def _value(type_: Any, data: Any) -> Any:
-    origin, inside = get_origin(type_), get_args(type_)
-    if origin in (Union, UnionType):  # optional
-        (one,) = (item for item in inside if item is not type(None))
-        return None if data is None else _value(one, data)
-    if origin is np.ndarray:
-        return np.array(data["values"], dtype=data["type"]).reshape(data["shape"])
-    if origin is tuple:  # of any length
-        return tuple(_value(inside[0], item) for item in data)
-    if origin is Literal:
-        if data not in inside:
-            raise ValueError(f"{data!r} is none of {inside}")
-        return data
-    if is_dataclass(type_) and isinstance(type_, type):
-        return type_(**fields_from(type_, data))
-    if type_ in (bool, int, float, str, Path):
-        return type_(data)
-    raise TypeError(f"no way from JSON to {type_}")
-
 
 FILE_NAME = "observations.parquet"
 _KEY = b"onebend"

@@ -13,10 +13,11 @@ from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, make_problem
-from onebend.beam.sensitivity import of_force, of_moment, of_section_thickness, of_stiffness, respond
+from onebend.beam.sensitivity import of_force, of_moment, of_stiffness, respond
 from onebend.beam.stiffness import Gaussians, Uniform
 from onebend.records import Array
 from tests.beam.held import hold, hold_along
+from tests.beam.thickness import of_section_thickness
 
 THICK = Beam(0.15, Gaussians((0.0, 0.5, 1.0), 0.4, (0.01, 0.03, 0.02)), mass_per_length=Uniform(0.1), thickness=0.02)
 FINE = Resolution(16, 0.25)

