@@ -104,7 +104,7 @@ def nothing(item: Item, settings: TaskSettings) -> ItemResult:  # noqa: ARG001
 
 
 def write(outcome: BatchOutcome) -> None:
-    write_batch(outcome, summary_of(outcome, written_by="a benchmark"), version="0")
+    write_batch(outcome, summary_of(outcome))
 
 
 def timed(work: Callable[..., Found], *arguments: object, **options: object) -> tuple[float, Found]:

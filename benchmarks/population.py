@@ -147,7 +147,7 @@ def through_learning(trials: int) -> None:
                     scale = float(np.exp(log_k.mean())) / 0.085
                     marker_recording(bench(beam, scale=scale, name=f"{j}"), stems / group / f"{j}", seed=100 * i + j)
             outcome = run_batch(stems, out, workers=1)
-            write_batch(outcome, summary_of(outcome, written_by="a benchmark"), version="0")
+            write_batch(outcome, summary_of(outcome))
             found = read_batch(out, "group")
             fitted = fit(found.trial)
             told = found.identified >= 0.5

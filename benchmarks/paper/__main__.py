@@ -8,10 +8,9 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-import onebend
 from benchmarks.paper import report, study
-from onebend.cli import BY, common
-from onebend.files.publish import write_summary
+from onebend.cli import common
+from onebend.files.publish import this_onebend, write_summary
 from onebend.options import expanded
 from onebend.report.sentences import UNKNOWN, millimetres
 
@@ -52,12 +51,12 @@ def reproduce(
 ) -> None:
     """Repeat the paper's experiments: films of three beams, tables, figures and tasks in one report."""
     with common.clean_errors(), common.progress_of(quiet) as progress:
-        found = study.reproduce(output, setting, written_by=BY, processes=processes or 0, progress=progress)
+        found = study.reproduce(output, setting, written_by=this_onebend(), processes=processes or 0, progress=progress)
         pictures = report.draw_figures(found, progress=progress)
         common.say_failed(pictures.failed)
         pictures.write(output / "figures")
-        report.write_report(output, found, pictures.drawn, version=onebend.__version__)
-        summary = {**report.summary_of(found, written_by=BY), **common.made_from_files((), {"study": setting})}
+        report.write_report(output, found, pictures.drawn)
+        summary = {**report.summary_of(found), **common.made_from_files((), {"study": setting})}
         write_summary(output, summary)
     common.answer(as_json, summary, lambda console: show(console, found, output), output)
 

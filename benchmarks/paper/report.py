@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks.paper import study
+from onebend.files.publish import headed
 from onebend.progress import Progress, Silent
 from onebend.recording.entries import VideoEntry
 from onebend.recording.video import pictures_at
@@ -406,11 +407,10 @@ FILES = (
 )
 
 
-def page(outcome: study.StudyOutcome, figures: Mapping[str, bytes], *, version: str) -> str:
+def page(outcome: study.StudyOutcome, figures: Mapping[str, bytes]) -> str:
     """One self-contained page. `figures`: PNGs by name; missing ones are skipped."""
     setting = outcome.setting
     content = {
-        "version": version,
         "video": setting.video,
         "seed": setting.seed,
         "quick": study.quick_words(setting),
@@ -515,11 +515,9 @@ def _cell(column: str, cell: Cell) -> str:
 REPRODUCE_FORMAT = "onebend-reproduce-1"
 
 
-def summary_of(outcome: study.StudyOutcome, *, written_by: str) -> dict[str, Any]:
+def summary_of(outcome: study.StudyOutcome) -> dict[str, Any]:
     below, known = below_printed(outcome)
-    return {
-        "format": REPRODUCE_FORMAT,
-        "written_by": written_by,
+    return headed(REPRODUCE_FORMAT) | {
         "setting": asdict(outcome.setting),
         "force_scale": outcome.gain,
         "validations_below_printed": below,
@@ -528,9 +526,9 @@ def summary_of(outcome: study.StudyOutcome, *, written_by: str) -> dict[str, Any
     }
 
 
-def write_report(folder: Path, outcome: study.StudyOutcome, figures: Mapping[str, bytes], *, version: str) -> None:
+def write_report(folder: Path, outcome: study.StudyOutcome, figures: Mapping[str, bytes]) -> None:
     """Page and tables. `figures`: PNGs by name."""
-    (folder / "report.html").write_text(page(outcome, figures, version=version), encoding="utf-8")
+    (folder / "report.html").write_text(page(outcome, figures), encoding="utf-8")
     (folder / "tables").mkdir(exist_ok=True)
     for table in (*all_tables(outcome), *map(stiffness_curves, outcome.beams)):
         write_table(folder / "tables" / f"{table.key}.csv", table)

@@ -218,7 +218,7 @@ def test_figures_are_pictures_and_the_worst_is_the_worst(found: StudyOutcome) ->
 
 
 def test_page_is_whole_and_fetches_nothing(found: StudyOutcome) -> None:
-    text = page(found, {"summary": b"\x89PNG", "figure-8": b"\x89PNG"}, version="0")
+    text = page(found, {"summary": b"\x89PNG", "figure-8": b"\x89PNG"})
     assert text.count("<img") == 2
     assert not re.search(r'(src|href)="(?!#|data:)', text)
     assert "{{" not in text
@@ -228,8 +228,8 @@ def test_page_is_whole_and_fetches_nothing(found: StudyOutcome) -> None:
 
 
 def test_all_tables_are_written(found: StudyOutcome, tmp_path: Path) -> None:
-    write_report(tmp_path, found, {"summary": b"\x89PNG"}, version="0")
-    summary = json.loads(to_json(summary_of(found, written_by="a test")))
+    write_report(tmp_path, found, {"summary": b"\x89PNG"})
+    summary = json.loads(to_json(summary_of(found)))
     assert summary["tables"]["table-II"]["rows"][5]["printed_M3_m"] == 0.0021
     assert (tmp_path / "report.html").is_file()
     for table in all_tables(found):

@@ -21,7 +21,7 @@ from onebend.lab.forecast import (
     Setup,
     Tolerances,
     advise,
-    derivatives,
+    even_push,
     information_of,
     instruments,
     known_beam,
@@ -31,7 +31,7 @@ from onebend.lab.forecast import (
 )
 from onebend.lab.random_bench import FilmRequest
 from onebend.lab.rehearsal import COLUMNS, rehearsal_figure, rehearse, summary_of, write_table
-from onebend.learning.design import STEPS
+from onebend.learning.design import STEPS, tag_derivatives
 from onebend.learning.normal import Draws, InformationForm, stiffness_mixture
 from onebend.records import PLACE_SD, Array
 from onebend.report.pictures import draw
@@ -50,7 +50,7 @@ def test_scatter_is_that_of_the_linear_estimate_under_the_equivalent_prior() -> 
     """`(I + P)^-1 (I c + n)` over many draws of n ~ N(0, I); a normal prior's mean only shifts all of them."""
     setup = replace(WRIST, sensor=replace(WRIST.sensor, gain_sd=0.0))
     used, found = instruments(setup), predict(setup)
-    information = information_of(setup, used, derivatives(setup, used))
+    information = information_of(setup, used)
     values, vectors = np.linalg.eigh(information)
     root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     noise = np.random.default_rng(0).standard_normal((4000, len(information))) @ root
@@ -62,7 +62,7 @@ def test_band_and_bias_are_those_of_the_fits_own_posterior() -> None:
     """One prior: what the fit's sampler makes of the same information, with other draws."""
     setup = replace(CUBIC, sensor=replace(CUBIC.sensor, gain_sd=0.0))
     used, found = instruments(setup), predict(setup)
-    information = information_of(setup, used, derivatives(setup, used))
+    information = information_of(setup, used)
     truth = np.linalg.lstsq(BASIS, np.log(found.k), rcond=None)[0]
     data, level = InformationForm(information, information @ truth), float(np.mean(np.log(found.k)))
     posterior = stiffness_mixture(SPLINE, [data], level, Draws(chains=20, burn=400, kept=400))
@@ -82,11 +82,10 @@ def test_predicted_band_is_that_of_fits(setup: Setup) -> None:
 
 def test_more_information_never_widens_the_band() -> None:
     used = instruments(WRIST)
-    along_pushes = derivatives(WRIST, used)
-    whole = information_of(WRIST, used, along_pushes)
+    whole = information_of(WRIST, used)
     sds = ("gain_sd", "direction_sd", "place_sd", "placement_sd", "origin_sd", "turn_sd", "clamp_sd", "clock_sd")
     for better in (replace(used, **{name: 1e-3 * getattr(used, name)}) for name in sds):
-        gained = information_of(WRIST, better, along_pushes) - whole
+        gained = information_of(WRIST, better) - whole
         assert np.min(np.linalg.eigvalsh(gained)) > -1e-6 * np.max(np.abs(whole))
 
 
@@ -103,8 +102,8 @@ def test_two_equal_pushes_with_all_else_known_tell_twice_as_much() -> None:
     twice = replace(WRIST, pushes=WRIST.pushes * 2)
     used = instruments(WRIST)
     sure = replace(used, placement_sd=1e-12, turn_sd=1e-9, origin_sd=1e-12)
-    single = information_of(WRIST, sure, derivatives(WRIST, sure))
-    double = information_of(twice, sure, derivatives(twice, sure))
+    single = information_of(WRIST, sure)
+    double = information_of(twice, sure)
     assert double == pytest.approx(2.0 * single, rel=1e-4, abs=1e-6 * np.max(single))
 
 
@@ -114,7 +113,7 @@ def test_a_pushs_own_errors_move_the_tags_as_equilibria_say() -> None:
         known_beam("cubic"), [FilmRequest(sensor="wrist", seconds=4.0, at_s=0.8)], known_to=Tolerances(clock_sd=0.01)
     )
     (push,), used = setup.pushes, instruments(setup)
-    blocks = derivatives(setup, used)[0].blocks
+    blocks = tag_derivatives(setup.beam, used, even_push(push), SPLINE.basis).blocks
     told = np.concatenate([blocks[name] for name in ("place", "direction", "push")], axis=-1)
     tags, h = np.asarray(setup.tags), 1e-5
     size = push.peak * np.append((np.arange(STEPS) + 0.5) / STEPS, 0.0)
@@ -236,7 +235,7 @@ def test_files_hold_what_was_found(tmp_path: Path) -> None:
     assert len(rows) == 102
     page = (Path(__file__).parents[2] / "docs" / "plan.md").read_text(encoding="utf-8")
     assert all(f"`{column}`" in page for column in COLUMNS)
-    summary = json.loads(to_json(summary_of(found, written_by="a test")))
+    summary = json.loads(to_json(summary_of(found)))
     assert len(summary["advice"]) == 2
     assert {path.name for path in tmp_path.iterdir()} == {"rehearsal.csv", "rehearsal.png"}
 

@@ -17,7 +17,7 @@ from typer.testing import CliRunner, Result
 from onebend.cli import app
 from onebend.cli.common import percent, stopped_by_hand
 from onebend.errors import RecordingError
-from onebend.live.commands import RecordingView, recording_screen
+from onebend.live.commands import StateView, recording_line, recording_screen
 from onebend.live.guidance import CaptureOutcome, CaptureState, TagView, outcome_words
 from onebend.live.recording_folder import FilmWriter
 from onebend.report.overview import overview
@@ -267,14 +267,16 @@ def test_the_screen_shows_what_is_known() -> None:
 def test_a_terminal_is_renewed_and_a_pipe_gets_a_line_for_what_is_new() -> None:
     for terminal in (True, False):
         stream = StringIO()
-        with RecordingView(Console(file=stream, width=100, force_terminal=terminal)) as view:
+        with StateView(
+            Console(file=stream, width=100, force_terminal=terminal), recording_screen, recording_line
+        ) as view:
             for share in (20, 21, 22):
                 advice = (f"further: the tip has moved by {share} % of the length",)
                 view.show(CaptureState("push", advice=advice, seconds=float(share)))
         assert stream.getvalue().count("further") >= 1
         if not terminal:
             assert stream.getvalue() == "  20.0 s  push: further: the tip has moved by 20 % of the length\n"
-    with RecordingView(None) as nothing:
+    with StateView(None, recording_screen, recording_line) as nothing:
         nothing.show(STATE)
 
 

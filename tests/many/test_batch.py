@@ -59,7 +59,7 @@ def _quickly_and_in_this_process(no_other_places: None) -> Iterator[None]:  # no
 @pytest.fixture(scope="module")
 def done(stems: Path, tmp_path_factory: pytest.TempPathFactory) -> BatchOutcome:
     outcome = run_batch(stems, tmp_path_factory.mktemp("out") / "results")
-    write_batch(outcome, summary_of(outcome, written_by="a test"), version="0")
+    write_batch(outcome, summary_of(outcome))
     return outcome
 
 
@@ -120,7 +120,7 @@ def test_in_doubt_is_what_learn_doubts(tmp_path: Path) -> None:
     doubted = {name for name, one in verdicts.items() if one is not None and one["verdict"]["docs"]}
     assert doubted == {"elsewhere", "vague"}
     assert {name for name, _ in outcome.in_doubt} == doubted
-    write_batch(outcome, summary_of(outcome, written_by="a test"), version="0")
+    write_batch(outcome, summary_of(outcome))
     text = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
     assert text.index("not to be trusted</td>") < text.index("<polyline")
     for name in verdicts:
@@ -165,7 +165,7 @@ def test_a_row_states_what_recording_toml_does_not(stems: Path, done: BatchOutco
     rows = f"path,name,group,treatment,day,length_m\n{stems}/dry/one,b,g,dry,3,0.151\n"
     (tmp_path / "list.csv").write_text(rows)
     outcome = run_batch(tmp_path / "list.csv", tmp_path / "out", folders=True)
-    write_batch(outcome, summary_of(outcome, written_by="a test"), version="0")
+    write_batch(outcome, summary_of(outcome))
     (found,) = pq.read_table(tmp_path / "out" / "recordings.parquet").to_pylist()
     (unstated,) = (
         row for row in pq.read_table(done.out / "recordings.parquet").to_pylist() if row["name"] == "dry/one"
@@ -199,7 +199,7 @@ def test_a_name_that_is_no_utf_8_is_a_row_like_others(stems: Path, tmp_path: Pat
         pytest.skip("this file system has no such names")
     (bad / "recording.toml").write_text("[beam]\n")
     outcome = run_batch(folder, tmp_path / "out", folders=True)
-    write_batch(outcome, summary_of(outcome, written_by="a test"), version="0")
+    write_batch(outcome, summary_of(outcome))
     rows = {row["name"]: row for row in pq.read_table(tmp_path / "out" / "recordings.parquet").to_pylist()}
     assert set(rows) == {"good", r"bad\udcff"}
     assert np.isfinite(rows["good"]["k_at_0.5_N_m"])

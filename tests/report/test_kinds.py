@@ -52,7 +52,7 @@ def test_each_kind_is_told_from_the_others() -> None:
 
 def test_the_page_of_hung_weights_speaks_of_no_film_and_of_no_force_log() -> None:
     run = hung_weights()
-    text = Links(page(run, {}, version="1")).text
+    text = Links(page(run, {})).text
     for wrong in ("No force was logged", "loaded frames", "the video", "film", "as logged", "force log", "over time",
                   "Force and clock", "sensor", "0.0 s"):  # fmt: skip
         assert wrong not in text.replace("needs a filmed push", ""), wrong
@@ -65,7 +65,7 @@ def test_hung_weights_have_one_distance_from_the_fit() -> None:
     """Against the loads as written, with the clamp's turn left in, is no second measure of the same fit."""
     run = hung_weights()
     assert run.posterior is not None
-    text = Links(page(run, {}, version="1")).text
+    text = Links(page(run, {})).text
     worst = max(float(np.nanmax(rms)) for rms in fitted_rms(run.posterior))
     card = next(card for card in cards(run) if "worst tag" in card["what"])
     assert card["value"].startswith(f"{millimetres(worst)}\u00a0mm (tag")

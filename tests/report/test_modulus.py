@@ -68,7 +68,7 @@ def test_the_screen_has_the_modulus_below_k() -> None:
 
 @pytest.mark.parametrize("fitted", [True, False])
 def test_of_an_unknown_section_nothing_is_shown(fitted: bool) -> None:
-    text = screen(None, fitted=fitted) + page(findings(None, fitted=fitted), {}, version="1")
+    text = screen(None, fitted=fitted) + page(findings(None, fitted=fitted), {})
     assert "Young" not in text
     assert "E [" not in text
     assert modulus_rows(measured(None), S) is None
@@ -76,7 +76,7 @@ def test_of_an_unknown_section_nothing_is_shown(fitted: bool) -> None:
 
 
 def test_the_report_has_it_in_card_table_and_words() -> None:
-    html = page(findings(replace(BAR, sd=1e-4)), {}, version="1")
+    html = page(findings(replace(BAR, sd=1e-4)), {})
     rows = modulus_rows(measured(replace(BAR, sd=1e-4)), S)
     assert rows is not None
     assert "E [MPa]" in html
@@ -91,7 +91,7 @@ def test_the_regression_has_a_modulus_without_a_band() -> None:
     assert rows is not None
     assert (rows.low, rows.high) == ((), ())
     assert "Young's modulus" in screen(BAR, fitted=False)
-    assert "E [MPa]" in page(findings(BAR, fitted=False), {}, version="1")
+    assert "E [MPa]" in page(findings(BAR, fitted=False), {})
 
 
 def test_a_section_that_is_known_nowhere_near_gives_no_range() -> None:

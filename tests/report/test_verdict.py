@@ -70,8 +70,8 @@ def test_terminal_report_and_summary_say_the_same() -> None:
     where = Console(file=io.StringIO(), width=300, color_system=None)
     show_run(where, found, Path("out"))
     assert isinstance(where.file, io.StringIO)
-    html, shown = page(found, {}, version="1"), where.file.getvalue()
-    summary = summary_of(found, written_by="a test")["verdict"]
+    html, shown = page(found, {}), where.file.getvalue()
+    summary = summary_of(found)["verdict"]
     for words in (verdict.headline, *(words for _, words in verdict.rows)):
         assert words in shown
         assert code_in(words) in html
@@ -184,7 +184,7 @@ def test_a_test_of_which_the_data_tell_nothing_is_none() -> None:
     all_blind = replace(found, criticism=replace(critic, findings=tuple(map(blind, critic.findings))))
     none = replace(made_up.findings(0), posterior=all_blind)
     assert verdict_of(none).rests_on.startswith("no test")
-    assert "No test is possible" in page(none, {}, version="1")
+    assert "No test is possible" in page(none, {})
 
 
 def test_no_weight_is_named_that_the_beam_cannot_bear() -> None:

@@ -182,12 +182,12 @@ def test_without_a_cache_every_film_is_searched(
     users = users_folder()
     assert users is not None
     for _ in range(2):
-        detection_cache.detection_cache("1").detect(film, TAGS)
+        detection_cache.detection_cache().detect(film, TAGS)
     assert (len(searches), len(users.entries())) == (1, 1)
     (tmp_path / "file").write_text("")
     for value in ("off", str(tmp_path / "file")):  # the file cannot be a folder
         monkeypatch.setenv("ONEBEND_CACHE", value)
-        assert equal(detection_cache.detection_cache("1").detect(film, TAGS))
+        assert equal(detection_cache.detection_cache().detect(film, TAGS))
     assert len(searches) == 3
 
 

@@ -66,7 +66,7 @@ def test_the_modulus_stands_beside_k_where_the_section_is_known(tmp_path: Path) 
 def test_the_summary_has_the_modulus_where_the_section_is_known() -> None:
     made = made_up.findings(0)
     known = replace(made, recordings=tuple(made_up.with_stated(one, section=SECTION) for one in made.recordings))
-    found = plain(summary_of(known, written_by="a test"))["stiffness"]
+    found = plain(summary_of(known))["stiffness"]
     expected = modulus_band(made_up.posterior().stiffness, made_up.LENGTH, SECTION, np.linspace(0.0, 1.0, 11))
     np.testing.assert_allclose(found["E_lo_Pa"][:-1], expected.low[:-1])
     assert found["E_Pa"][-1] is None
@@ -77,10 +77,10 @@ def test_the_summary_has_the_modulus_where_the_section_is_known() -> None:
         "across_m": [0.03, 0.03],
         "sd_m": 1e-4,
     }
-    alone = plain(summary_of(replace(known, posterior=None, beam=made_up.BEAM), written_by="a test"))["stiffness"]
+    alone = plain(summary_of(replace(known, posterior=None, beam=made_up.BEAM)))["stiffness"]
     assert "E_Pa" in alone
     assert "E_lo_Pa" not in alone
-    nothing = plain(summary_of(made, written_by="a test"))["stiffness"]
+    nothing = plain(summary_of(made))["stiffness"]
     assert not {"E_Pa", "section"} & set(nothing)
 
 
@@ -90,7 +90,7 @@ def test_a_fit_that_is_in_doubt_identifies_nothing_in_any_file(tmp_path: Path) -
     assert fit.band(np.linspace(0, 1, 11)).identified.any()
     write_stiffness(tmp_path / "k.csv", lost.beam, lost.stiffness)
     assert {row["identified"] for row in rows(tmp_path / "k.csv")} == {"no"}
-    summary = plain(summary_of(replace(made_up.findings(0), posterior=lost), written_by="a test"))
+    summary = plain(summary_of(replace(made_up.findings(0), posterior=lost)))
     assert summary["fit"]["trusted"] is False
     assert summary["fit"]["doubts"] == ["the fit did not converge"]
     assert summary["fit"]["identified"] == []
@@ -147,7 +147,7 @@ def test_validation_table_keeps_the_unknown_unknown(tmp_path: Path) -> None:
 
 
 def test_summary_is_strict_json_with_null_for_the_unknown(tmp_path: Path) -> None:
-    summary = summary_of(made_up.findings(), written_by="a test")
+    summary = summary_of(made_up.findings())
     (tmp_path / "model.json").write_text("{}")
     write_summary(tmp_path, summary)
     seal(tmp_path, {"pictures_failed": {}})
@@ -173,11 +173,11 @@ def test_summary_is_strict_json_with_null_for_the_unknown(tmp_path: Path) -> Non
 def test_summary_without_force_or_clock() -> None:
     found = made_up.findings(0)
     seen = with_source(found.recordings[0], clean_force=None, clock=None)
-    summary = summary_of(replace(found, recordings=(seen,), posterior=None), written_by="a test")
+    summary = summary_of(replace(found, recordings=(seen,), posterior=None))
     assert summary["observed"][0]["force"] is None
     assert summary["observed"][0]["clock"] is None
     assert (summary["method"], summary["fit"]) == ("regression", None)
-    assert validation_summary("m", (), written_by="a test")["validation"] == []
+    assert validation_summary("m", ())["validation"] == []
 
 
 def test_plain_leaves_no_array_and_no_infinity() -> None:

@@ -136,7 +136,7 @@ def test_a_warning_says_where_to_read_of_it_and_a_note_does_not() -> None:
 
 def test_the_report_says_it_too() -> None:
     found = replace(made_up.findings(0), remarks=(WARNING, NOTE))
-    text = page(found, {}, version="0")
+    text = page(found, {})
     assert text.count(REFERENCE) == 2  # above, and among all remarks
     assert "rows-or-pictures" not in text
 

@@ -170,6 +170,10 @@ class Equilibrium:
         """(T, S, 2) m, position at `s` (S,) or (T, S). Equation (4)."""
         return _times(self.problem.grid.integral_to(s), self.slope)
 
+    def poses(self, s: Array) -> Array:
+        """(T, S, 3) m, m, rad: position and angle."""
+        return np.concatenate([self.xy(s), self.angle(s)[..., None]], axis=-1)
+
     def xy_by_s(self, s: Array) -> Array:
         """(T, S, 2) m, d r / d s at `s` (S,), with stretch and shear."""
         return _times(self.problem.grid.value_at(s), self.slope)

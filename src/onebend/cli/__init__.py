@@ -31,7 +31,6 @@ from onebend.progress import one_blas_thread
 from onebend.wings import GROUPS, Place, wings
 
 NAME = "onebend"
-BY = f"{NAME} {onebend.__version__}"
 MOST_NEW = 100_000  # objects between garbage collections, which otherwise take a 20th of the time
 HELP = ("-h", "--help")
 OPTIONS = Path(__file__).parent / "options.json"
@@ -274,7 +273,7 @@ app = typer.Typer(
 
 def _say_version(asked: bool) -> None:
     if asked:
-        typer.echo(BY)
+        typer.echo(f"{NAME} {onebend.__version__}")
         raise typer.Exit
 
 

@@ -16,7 +16,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from onebend.beam.model import Beam
-from onebend.cli import BY, common
+from onebend.cli import common
 from onebend.cli.models import SetUpOptions, gravity_on, read_trusted, warn_beyond_learned
 from onebend.control.goals import Between, Goals, read_goals, read_targets
 from onebend.control.loop import Controller, Margins
@@ -106,7 +106,7 @@ def reach(
             found = reach_in_setup(stored.beam, known, setup, wanted, push_s=push_at, point_s=point, settings=settings)
             error = found.predicted
         warn_beyond_learned(stored.setup, found.force)
-        summary = control_files.reach_summary(str(model), found, error, written_by=BY)
+        summary = control_files.reach_summary(str(model), found, error)
         if output is not None:
             from onebend.report.control_figures import reaching  # here: loads Matplotlib
 
@@ -282,7 +282,7 @@ def shape(
                 f"them, the beam {1e3 * stored.beam.length:.4g} mm long. Give targets that the beam can reach"
             )
         warn_beyond_learned(learned_from, found.forces)
-        summary = control_files.shape_summary(str(model), found, written_by=BY)
+        summary = control_files.shape_summary(str(model), found)
         if output is not None:
             from onebend.report.control_figures import shaping  # here: loads Matplotlib
 
@@ -329,7 +329,7 @@ def path(
         way = replace(way, setup=setup)
         warn_beyond_learned(learned_from, way.forces)
         sure = None if stored.uncertain is None else path_spread(way, stored.uncertain)
-        summary = control_files.path_summary(str(model), way, sure, written_by=BY)
+        summary = control_files.path_summary(str(model), way, sure)
         if output is not None:
             from onebend.report.control_figures import path_figure  # here: loads Matplotlib
 

@@ -13,11 +13,10 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-import onebend
-from onebend.cli import BY, common
+from onebend.cli import common
 from onebend.cli.models import SetUpOptions, read_trusted
 from onebend.cli.screens import show_damping, show_frequencies, show_run, show_sensed, show_validation
-from onebend.files.publish import amend
+from onebend.files.publish import amend, this_onebend
 from onebend.files.single_file import check_name_free, write_file
 from onebend.learning.design import Plan, PlanSettings
 from onebend.learning.optimizer import FitSettings
@@ -79,13 +78,13 @@ def frequencies(
     quiet: common.Quiet = False,
 ) -> None:
     with common.clean_errors(), common.progress_of(quiet) as progress:
-        detect = detection_cache(onebend.__version__).detect
+        detect = detection_cache().detect
         signals = swing_signals(source, threads=observing.threads, detect=detect, progress=progress)
         found = frequencies_of(signals.time, signals.value, part, most=most, name=signals.name)
     found = found.sped_up(slowed)
     common.answer(
         as_json,
-        frequencies_summary(str(source), found, written_by=BY),
+        frequencies_summary(str(source), found),
         lambda console: show_frequencies(console, found),
     )
 
@@ -111,10 +110,10 @@ def damp(
             fit = learn_damping(stored.beam, seen, uncertain=stored.uncertain, part=part, settings=settings)
         if output is not None:
             whole = replace(stored, beam=fit.beam, damping=fit.damping)
-            text = model_text(whole, written_by=BY)
+            text = model_text(whole, written_by=this_onebend())
             if not (overwrite and amend(output, text.encode())):  # a file of a results folder: its summary is renewed
                 write_file(output, text, overwrite=overwrite)
-    said = {**damp_summary(str(model), fit, written_by=BY), "output": None if output is None else str(output)}
+    said = {**damp_summary(str(model), fit), "output": None if output is None else str(output)}
     common.answer(as_json, said, lambda console: show_damping(console, fit, output))
 
 
@@ -137,7 +136,7 @@ def sense(
                 seen = _observed(stored, recording, observing, progress)
             setup = where.of(stored)
             found = sense_force(stored.beam, seen, stiffness=stored.uncertain, setup=setup, settings=settings)
-            summary = sense_summary(str(model), found, written_by=BY)
+            summary = sense_summary(str(model), found)
             if work is not None:
                 from onebend.report.control_figures import sensing  # here: loads Matplotlib
 
@@ -150,7 +149,7 @@ def sense(
 def _observed(stored: StoredModel, recording: Path, observing: ObserveSettings, progress: Progress) -> Observations:
     files = read_recording(recording)
     check_same_length(stored.beam.length, files)
-    detect = detection_cache(onebend.__version__).detect
+    detect = detection_cache().detect
     return observe(files, settings=observing, detect=detect, progress=progress)
 
 
@@ -228,19 +227,17 @@ def learn(
                 fitting=fit,
                 observing=observing,
                 validate_on=validate_on or (),
-                detect=detection_cache(onebend.__version__, frames.keep).detect,
+                detect=detection_cache(frames.keep).detect,
                 frames=frames,
                 progress=progress,
             )
-        summary = learned_files.summary_of(run, written_by=BY)
+        summary = learned_files.summary_of(run)
         settled = {"fit": fit, "regression": settings, "observing": observing}
-        tables = learned_files.tables_writer(run, version=onebend.__version__)
+        tables = learned_files.tables_writer(run)
 
         def put(pictures: Pictures | None) -> None:
             made_from = common.made_from_files(inputs, settled)
-            write = learned_files.learned_writer(
-                run, pictures, summary, version=onebend.__version__, made_from=made_from, tables=tables
-            )
+            write = learned_files.learned_writer(run, pictures, summary, made_from=made_from, tables=tables)
             common.put_in_place(place, write, pictures.failed if pictures else {}, made_from=made_from)
 
         put(None if no_report else Pictures())  # the fit is safe before pictures are drawn
@@ -287,10 +284,10 @@ def validate(
                 stiffness=stored.uncertain,
                 setup=setup,
                 observing=observing,
-                detect=detection_cache(onebend.__version__).detect,
+                detect=detection_cache().detect,
                 progress=progress,
             )
-            summary = learned_files.validation_summary(str(model), pairs, written_by=BY)
+            summary = learned_files.validation_summary(str(model), pairs)
             if place is not None:
                 from onebend.report.figures import validation_figures  # here, as above
 
@@ -306,5 +303,5 @@ def plan(
     with common.clean_errors(), common.progress_of(quiet) as progress:
         read_trusted(model)  # warns of doubts
         found = plan_next(model, settings=settings, progress=progress)
-    summary = learned_files.plan_summary(str(model), found, written_by=BY)
+    summary = learned_files.plan_summary(str(model), found)
     common.answer(as_json, summary, lambda console: show_plan(console, found))

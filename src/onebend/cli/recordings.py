@@ -20,8 +20,9 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from onebend.cli import BY, common
+from onebend.cli import common
 from onebend.errors import ObservationError, RecordingError
+from onebend.files.publish import headed
 from onebend.files.single_file import check_name_free, check_replaceable, write_file
 from onebend.recording.bag_topics import FIELDS, BagContents, TopicRow, bag_contents
 from onebend.recording.calibration import NAMES, Board, BoardKind, Calibration, calibrate as calibrate_camera
@@ -312,10 +313,8 @@ def calibrate(
         with common.progress_of(quiet) as progress:
             found = calibrate_camera(video, wanted, topic=topic, most_views=views, progress=progress)
         write_file(output, found.camera_table(), overwrite=overwrite)
-    said = {"format": CALIBRATE_FORMAT, "written_by": BY, "video": str(video), "topic": topic or None}
-    common.answer(
-        as_json, {**said, **found.as_dict()}, lambda console: show_calibration(console, found, output), output
-    )
+    said = headed(CALIBRATE_FORMAT, video=str(video), topic=topic or None, **found.as_dict())
+    common.answer(as_json, said, lambda console: show_calibration(console, found, output), output)
 
 
 def _board(board: tuple[str, str], square: float, marker: float | None, dictionary: str) -> Board:

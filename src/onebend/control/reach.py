@@ -683,7 +683,8 @@ def reach_in_setup(
 
     largest = float(np.hypot(*setup.force))
     starts = _nearest_first(bent, wanted, point, largest)
-    exact = _force_in_setup(bent, wanted, point, starts, largest, _MET * beam.length)
+    tries = (_newton_in_setup(bent, wanted, point, start, largest, _MET * beam.length) for start in starts)
+    exact = next((one for one in tries if one is not None), None)
     if exact is None or now.beyond(exact[0]):
         with contextlib.suppress(ControlError):  # of that force alone
             spread = answer(np.zeros(2), 0).predicted.covariance
@@ -715,14 +716,6 @@ def _nearest_first(bent: Callable[[Array], Bent], goal: Array, point: Array, lar
     return np.asarray(starts[np.argsort(np.where(there.stands, away, np.inf))[:_MOST_STARTS_IN_SETUP]])
 
 
-def _force_in_setup(
-    bent: Callable[[Array], Bent], goal: Array, point: Array, starts: Array, largest: float, met: float
-) -> tuple[Array, int] | None:
-    """(2,) N that the sensor shows where the point is within `met` [m] of the goal, and the number of trials."""
-    found = (_newton_in_setup(bent, goal, point, start, largest, met) for start in starts)
-    return next((one for one in found if one is not None), None)
-
-
 def _likely_in_setup(
     bent: Callable[[Array], Bent], goal: Array, point: Array, largest: float, spread: Array
 ) -> tuple[Array, int]:
@@ -742,7 +735,8 @@ def _likely_in_setup(
 def _newton_in_setup(
     bent: Callable[[Array], Bent], goal: Array, point: Array, base: Array, largest: float, met: float
 ) -> tuple[Array, int] | None:
-    """The same from the force `base` (2,) [N], with steps that shorten until they come nearer."""
+    """(2,) N that the sensor shows where the point is within `met` [m] of the goal, and the number of trials: from the
+    force `base` (2,) [N], by steps that shorten until they come nearer."""
     change, best, step = np.zeros(2), np.inf, _STEP * largest
     for trial in range(_MOST_TRIALS):
         force = base + change

@@ -21,8 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from onebend.beam.model import Beam
-from onebend.beam.problem import Resolution
-from onebend.control.loaded_beam import prepared, trace
+from onebend.control.loaded_beam import trace
 from onebend.control.loop import Controller, ControllerState, bounded
 from onebend.drive.placing import Placement
 from onebend.drive.plan import ARM, DrivePlan
@@ -133,7 +132,6 @@ class Drive:
         self._places = np.append(tags, [plan.point_s, plan.push_s])
         self._model = BentModel(plan.model.beam, plan.push_s, self._places, plan.gravity)
         self._rest = self._model.poses()
-        self._held_at = prepared(plan.model.beam, plan.push_s, plan.push_s, plan.gravity, Resolution())
         self._apart, self._k_sd = 0.0, -math.log(1.0 - plan.settings.k_error) / 3.0  # m; of log k
         self.eye = Eye(rec, self._rest[: len(tags)])
         assert rec.force is not None
@@ -165,7 +163,7 @@ class Drive:
         self._same_at_rest = 0.0
         self._film_begun, self._film = math.nan, (math.nan, math.nan)  # arrival and film time of the newest picture
         self._refused, self._camera_why, self._refused_by = "", "", ""
-        self._settled = self._stop = self._trouble = False
+        self.fault = self._settled = self._stop = False  # fault: whether anything went wrong
         self._doubted = self._holds = 0
         self.lateness = Lateness()
 
@@ -216,11 +214,6 @@ class Drive:
     def moved(self) -> bool:
         """Whether the tool was ever told to move."""
         return self._start is not None
-
-    @property
-    def fault(self) -> bool:
-        """Whether anything went wrong."""
-        return self._trouble
 
     def stop(self) -> None:
         """Hold, and release slowly; from any thread. A second time: let go at once."""
@@ -359,7 +352,7 @@ class Drive:
         elif self.stage in ("returning", "releasing"):
             self._walk_back(now)
         elif self.stage == "resting":
-            rest = AFTER_FAULT if self._trouble else self._settings.rest
+            rest = AFTER_FAULT if self.fault else self._settings.rest
             if now - self._entered >= rest:
                 self._end(now, "the tool is back where it began, and the robot is free")
 
@@ -534,11 +527,12 @@ class Drive:
     def _place_doubt(self, force: Array) -> float:
         """The same for the model's own k(s) under `force` (2,) N; 0 where it has no shape to compare with."""
         assert self._arm is not None
-        way = trace(self._held_at, np.append(force, 0.0), start=self._model.state, shortest=_SHORTEST)
+        pushed = self._model.pushed
+        way = trace(pushed, np.append(force, 0.0), start=self._model.state, shortest=_SHORTEST)
         if not way.arrived:
             return 0.0
         here, state = self._place.to_beam(self._arm.pose.position)[:2], way.states[-1]
-        away, yields = here - self._held_at.pose(state.q)[:2], self._held_at.response(state)[:2, :2]
+        away, yields = here - pushed.pose(state.q)[:2], pushed.response(state)[:2, :2]
         askew = _ASKEW[self._settings.hand] * self._k_sd**2 * float(force @ force)
         covariance = (self._sensor_sd**2 + askew) * yields @ yields.T
         covariance += (self._place.sd(here) + _CONTACT) ** 2 * np.eye(2)
@@ -650,7 +644,7 @@ class Drive:
                 self._say(f"goal {self._goal + 1} of {len(self.plan.goals)} is reached after {since:.1f} s")
                 self._enter("staying", now)
             elif since > max(self._settings.longest, 2.0 * self._control.reference.rise):
-                self._trouble = True
+                self.fault = True
                 away = 1e3 * float(np.linalg.norm(self.state.point - self._control.goal))
                 self._say(f"goal {self._goal + 1} is given up after {since:.0f} s, {away:.2g} mm away", fault=True)
                 self._finish_goal(now, reached=False)
@@ -691,14 +685,14 @@ class Drive:
         if self.stage in ("holding", "resting", "done"):
             return
         if self.stage == "waiting":
-            self._trouble |= fault
+            self.fault |= fault
             self._end(now, why)
             return
         pauses = passes and (len(self.lateness.pauses) < MOST_PAUSES or self.stage not in LED)
         self.lateness.paused = (self.stage, why) if pauses else None
         self._holds += not pauses
         if self._holds > MOST_HOLDS:
-            self._trouble |= fault
+            self.fault |= fault
             self._end(now, f"{why}: for the {self._holds}th time, and it is left where it stands")
             return
         try:
@@ -712,7 +706,7 @@ class Drive:
         silent, waited = now - self._answered, now - self._entered
         if silent > SILENCE:
             if silent > PATIENCE:
-                self._trouble = True
+                self.fault = True
                 self._end(now, f"{self.name} answers no more: it stops by itself. Look at it before you touch the beam")
             return
         if self.lateness.paused is not None and now - self.lateness.last > CALM:
@@ -755,7 +749,7 @@ class Drive:
 
     def _end(self, now: float, why: str) -> None:
         if why:
-            self._say(why, fault=self._trouble)
+            self._say(why, fault=self.fault)
         try:
             self._robot.release()
         except Exception as wrong:  # each package has errors of its own
@@ -767,7 +761,7 @@ class Drive:
         self.stage, self._entered = stage, now
 
     def _say(self, text: str, *, fault: bool = False) -> None:
-        self._trouble |= fault
+        self.fault |= fault
         arrival, film = self._film
         time = film + (self._turned - arrival) if math.isfinite(film) else math.nan
         self.events.append(Happened(time, text, fault))
@@ -818,7 +812,6 @@ class Drive:
             return
         control = replace(control, reference=replace(control.reference, rise=max(control.reference.rise, 1.0)))
         self._control, self._model = control, model
-        self._held_at = prepared(control.beam, self.plan.push_s, self.plan.push_s, self.plan.gravity, Resolution())
         self._loop = control.begin(now, wanted - control.reference.begins)
         self._goal_begun = now
         self._say(f"goes on with k(s) as learned now, {100.0 * (stiffer - 1.0):+.3g} % on average")

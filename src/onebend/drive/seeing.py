@@ -16,7 +16,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution
-from onebend.control.loaded_beam import LoadedState, prepared, trace
+from onebend.control.loaded_beam import prepared, trace
 from onebend.control.reach_set import stability_margin
 from onebend.errors import ObservationError
 from onebend.live.history import FrameReader
@@ -32,10 +32,9 @@ class BentModel:
 
     def __init__(self, beam: Beam, push_s: float, s: Array, gravity: tuple[float, float] = (0.0, 0.0)) -> None:
         """`s` (S,): places that are asked for."""
-        self.pushed = prepared(beam, push_s, 1.0, gravity, Resolution())
+        self.pushed = prepared(beam, push_s, push_s, gravity, Resolution())
         self._integral = self.pushed.problem.grid.integral_to(s)
-        self.s, self.state = s, self.pushed.start
-        self._length = float(self.pushed.problem.length)
+        self._length, self.state = float(self.pushed.problem.length), self.pushed.start
 
     def bend(self, force: Array) -> bool:
         """Go to the shape under `force` (2,) N; False, and nothing changes, where no stable shapes lead there."""
@@ -44,10 +43,9 @@ class BentModel:
             self.state = way.states[-1]
         return way.arrived
 
-    def poses(self, state: LoadedState | None = None) -> Array:
+    def poses(self) -> Array:
         """(S, 3) m, m, rad: the beam at `s`."""
-        q = self.pushed.whole((state or self.state).q)
-        alpha = self.pushed.angles((state or self.state).q)
+        q, alpha = self.pushed.whole(self.state.q), self.pushed.angles(self.state.q)
         xy = self._length * self._integral @ np.stack([np.cos(alpha), np.sin(alpha)], axis=-1)
         turn = float(np.ravel(self.pushed.problem.alpha0)[0]) + self._integral @ q
         return np.column_stack([xy, turn])

@@ -17,6 +17,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
+from importlib.metadata import version
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -57,6 +58,16 @@ def _checksum(data: Mapping[str, Any]) -> str:
     rest = {key: value for key, value in data.items() if key != OWN_CHECKSUM}
     text = json.dumps(rest, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def this_onebend() -> str:
+    """What writes, with its version."""
+    return f"onebend {version('onebend')}"
+
+
+def headed(kind: str, **more: Any) -> dict[str, Any]:
+    """The first entries of a summary: its format, who wrote it, and `more`."""
+    return {"format": kind, "written_by": this_onebend(), **more}
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:

@@ -15,8 +15,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from onebend.beam.stiffness import half_width
-from onebend.cli import BY, common
+from onebend.cli import common
 from onebend.errors import MechanicsError, reference
+from onebend.files.publish import headed, this_onebend
 from onebend.files.single_file import write_files
 from onebend.lab import designs
 from onebend.lab.filming import Filming, check, check_trackable, film as make_film, marker_recording
@@ -78,7 +79,7 @@ def film(
     bench = filming.bench
     if as_json:
         data = {"length_m": bench.beam.length, "force_max_N": bench.push.peak, "video_seconds": bench.push.duration}
-        common.print_json({"format": FILM_FORMAT, "written_by": BY, "output": str(folder), "seed": asked.seed, **data})
+        common.print_json(headed(FILM_FORMAT, output=str(folder), seed=asked.seed, **data))
         return
     common.say(
         f"Wrote {folder}: {bench.push.duration:.1f} s at {bench.fps:g} frames/s, a push to {bench.push.peak:.3g} N at "
@@ -192,11 +193,11 @@ def design(
         found = designs.find_design(name)
         expected = designs.expect(found)
         if model is not None:
-            text = model_text(StoredModel(found.beam(), None, found.uncertain()), written_by=BY)
+            text = model_text(StoredModel(found.beam(), None, found.uncertain()), written_by=this_onebend())
             write_files({model: text}, overwrite=overwrite)
     common.answer(
         as_json,
-        {"format": DESIGN_FORMAT, "written_by": BY, **expected.as_dict()},
+        headed(DESIGN_FORMAT, **expected.as_dict()),
         lambda console: show_design(console, expected),
     )
 
@@ -227,14 +228,10 @@ def tags(
         written = files_of(output, pages, f"{named}, {1e3 * side:g} mm")
         write_files(written, overwrite=overwrite)
     if as_json:
-        data = {
-            "format": TAGS_FORMAT,
-            "written_by": BY,
-            "family": named,
-            "size_m": side,
-            "ids": list(numbers),
-        }
-        common.print_json({**data, "pages": len(pages), "files": [str(path) for path in written]})
+        files = [str(path) for path in written]
+        common.print_json(
+            headed(TAGS_FORMAT, family=named, size_m=side, ids=list(numbers), pages=len(pages), files=files)
+        )
     else:
         what = f"{len(numbers)} tag{'s' if len(numbers) > 1 else ''} of {named}, {1e3 * side:g} mm"
         common.say(f"Wrote {', '.join(map(str, written))}: {what}. Print at 100 % and measure both rulers.")

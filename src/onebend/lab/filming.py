@@ -854,13 +854,10 @@ def marker_recording(bench: virtual.VirtualBench, folder: Path | str, *, seed: i
 def _write_tracks(path: Path, made: virtual.VirtualRecording) -> None:
     """`time_s, id, x_m, y_m, angle_rad`, one row per visible marker."""
     seen = made.markers
-    lines = ["time_s,id,x_m,y_m,angle_rad"]
-    for t, time in enumerate(seen.time):
-        for i, marker in enumerate(seen.tag_id):
-            x, y = seen.xy[t, i]
-            if np.isfinite(x):
-                lines.append(f"{time:.6f},{marker},{x:.8f},{y:.8f},{seen.angle[t, i]:.6f}")
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    t, i = np.nonzero(np.isfinite(seen.xy[..., 0]))
+    rows = np.column_stack([seen.time[t], seen.tag_id[i], seen.xy[t, i], seen.angle[t, i]])
+    formats = ("%.6f", "%d", "%.8f", "%.8f", "%.6f")
+    np.savetxt(path, rows, fmt=formats, delimiter=",", header="time_s,id,x_m,y_m,angle_rad", comments="")
 
 
 def _write_truth(folder: Path, made: virtual.VirtualRecording, seed: int) -> None:

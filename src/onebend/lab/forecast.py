@@ -352,33 +352,8 @@ class PredictedBand:
 
 @one_blas_thread
 def predict(setup: Setup) -> PredictedBand:
-    """Raises `MechanicsError`: the beam buckles or snaps through."""
-    used = instruments(setup)
-    return posterior_of(setup, used, information_of(setup, used, derivatives(setup, used)))
-
-
-def derivatives(setup: Setup, bench: Instruments) -> tuple[planning.TagDerivatives, ...]:
-    """Derivatives of the tags' poses along every push with all unknowns."""
-    mass, out = planning.mass_of(setup.beam), []
-    for push in setup.pushes:
-        solved = planning.solve_push(setup.beam, bench, even_push(push))
-        on_nodes = SPLINE.basis(solved.problem.grid.nodes)
-        out.append(planning.tag_derivatives(solved, bench, even_push(push), mass, on_nodes, np.asarray(bench.tags)))
-    return tuple(out)
-
-
-def information_of(setup: Setup, bench: Instruments, along_pushes: tuple[planning.TagDerivatives, ...]) -> Array:
-    """(p, p) information of all pushes on the coefficients of log k; they share tags and rest shape."""
-    chosen = np.arange(len(bench.tags), dtype=np.int64)
-    joint = sum(
-        planning.joint_information(along_push, bench, even_push(push), chosen)
-        for along_push, push in zip(along_pushes, setup.pushes, strict=True)
-    )
-    return planning.eliminate(np.asarray(joint), bench.shared_size, planning.alone(bench))
-
-
-def posterior_of(setup: Setup, bench: Instruments, information: Array) -> PredictedBand:
-    """The posterior for noise-free data with this information (p, p)."""
+    """The posterior for noise-free data. Raises `MechanicsError`: the beam buckles or snaps through."""
+    information = information_of(setup, instruments(setup))
     k = np.asarray(setup.beam.stiffness(planning.PLACES))
     truth = np.linalg.lstsq(BASIS, np.log(k), rcond=None)[0]
     posterior = stiffness_mixture(
@@ -386,12 +361,14 @@ def posterior_of(setup: Setup, bench: Instruments, information: Array) -> Predic
     )
     prior = equivalent_prior(posterior.covariance, information)
     bias = np.asarray(BASIS @ (posterior.mean - truth))
-    return _band(k, bias, prior, information, bench.gain_sd)
+    return _band(k, bias, prior, information, setup.gain_sd)
 
 
-def with_information(now: PredictedBand, bench: Instruments, information: Array) -> PredictedBand:
-    """The same beam with other data; equivalent prior and bias are kept."""
-    return _band(now.k, now.bias, now.prior, information, bench.gain_sd)
+def information_of(setup: Setup, bench: Instruments) -> Array:
+    """(p, p) information of all pushes on the coefficients of log k; they share tags and rest shape."""
+    pushes = [planning.tag_derivatives(setup.beam, bench, even_push(push), SPLINE.basis) for push in setup.pushes]
+    joint = np.sum([planning.joint_information(one, bench) for one in pushes], axis=0)
+    return planning.eliminate(joint, bench.shared_size, planning.alone(bench))
 
 
 def equivalent_prior(covariance: Array, information: Array) -> Array:
@@ -465,11 +442,10 @@ def advise(
     changes = []
     for kind, text, changed in track(progress, "weighing changes", thoughts, len(thoughts)):
         try:
-            used = instruments(changed)
-            information = information_of(changed, used, derivatives(changed, used))
+            information = information_of(changed, instruments(changed))
         except MechanicsError:
             continue  # stable at the sampled sizes, but not between them
-        quality = with_information(now, used, information).quality
+        quality = _band(now.k, now.bias, now.prior, information, changed.gain_sd).quality
         changes.append(SetupChange(kind, text, changed, quality, 1.0 - quality.mean_width / now.quality.mean_width))
     return _distinct(sorted(changes, key=lambda change: -change.share))[:count]
 

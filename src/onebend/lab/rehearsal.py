@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from onebend.beam.stiffness import half_width
+from onebend.files.publish import headed
 from onebend.lab import forecast
 from onebend.learning.design import PLACES
 from onebend.progress import Progress, Silent, one_blas_thread
@@ -111,8 +112,8 @@ REHEARSE_FORMAT = "onebend-rehearse-1"
 COLUMNS = ("s", "k_N_m", "sd", "median", "ninety", "identified")
 
 
-def summary_of(rehearsal: Rehearsal, *, written_by: str) -> dict[str, Any]:
-    return {"format": REHEARSE_FORMAT, "written_by": written_by, **rehearsal.as_dict()}
+def summary_of(rehearsal: Rehearsal) -> dict[str, Any]:
+    return headed(REHEARSE_FORMAT, **rehearsal.as_dict())
 
 
 def write_table(folder: Path, rehearsal: Rehearsal) -> None:

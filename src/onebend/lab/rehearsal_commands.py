@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from onebend.cli import BY, common
+from onebend.cli import common
 from onebend.cli.control import show_loop
 from onebend.cli.models import SetUpOptions, gravity_on, read_trusted, warn_beyond_learned
 from onebend.control import loop_simulation
@@ -94,7 +94,7 @@ def loop(
         warn_beyond_learned(learned_from, control.reference.ends)
         trials = tuple(loop_simulation.simulate_trials(control, beams, eye=camera, duration=asked.duration))
         known = control.margins()
-        summary = loop_summary(str(model), control, known, trials, written_by=BY)
+        summary = loop_summary(str(model), control, known, trials)
         if output is not None:
             from onebend.report.control_figures import looping  # here: it loads Matplotlib
 
@@ -198,10 +198,10 @@ def rehearse(
             found = make_rehearsal(setup, count=asked.count, progress=progress)
             if place is not None:
                 pictures = draw({"rehearsal": partial(rehearsal_figure, found)})
-                summary = summary_of(found, written_by=BY)
+                summary = summary_of(found)
                 common.put_results(place, summary, partial(write_table, rehearsal=found), pictures, inputs=inputs)
     if as_json:
-        common.print_json(summary_of(found, written_by=BY))
+        common.print_json(summary_of(found))
         return
     show_rehearsal(common.screen(), found)
     if output is not None:

@@ -197,7 +197,7 @@ def standing(beam: Beam, force: Array, at_s: float, s: Array, gravity: tuple[flo
     if not np.all(solved.converged):
         largest = float(np.max(np.linalg.norm(force, axis=1)))
         raise MechanicsError(f"the virtual beam snaps through under {largest:.3g} N or less. Give a smaller force")
-    return np.concatenate([solved.xy(s), solved.angle(s)[..., None]], axis=-1)
+    return solved.poses(s)
 
 
 def tag_poses(bench: VirtualBench, force: Array) -> Array:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -16,7 +18,7 @@ from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, make_problem
 from onebend.beam.sensitivity import of_mass
 from onebend.beam.statics import Equilibrium
-from onebend.beam.stiffness import IDENTIFIED_SD, LogSpline, UncertainStiffness, half_width
+from onebend.beam.stiffness import IDENTIFIED_SD, LogSpline, Profile, UncertainStiffness, half_width
 from onebend.errors import LearningError, MechanicsError
 from onebend.learning import prediction
 from onebend.learning.fit_data import MASS_MODES, REST_MODES
@@ -42,7 +44,9 @@ _REST_SHARE = 0.1  # of the coloured doubt: how well the log in a rest shows the
 class TagDerivatives:
     """Derivatives of tags' poses along one push: F frames, the last being the beam at rest; M places of tags."""
 
-    tags: Array  # (M,)
+    made: PlannedPush
+    tags: Array  # (M,) the bench's own first
+    tip: Array  # (F, 3) m, m, rad: its pose
     blocks: dict[str, Array]  # (F, M, 3, n) of what bends the beam, by name
     motion: prediction.TagMotion  # with what holds the tags
 
@@ -72,60 +76,64 @@ def solve_push(beam: Beam, bench: Instruments, candidate: PlannedPush) -> Equili
 
 def _forces(candidate: PlannedPush) -> Array:
     """(F, 2) N in the steps of a push, and none at rest."""
-    steps = (np.arange(STEPS) + 0.5) / STEPS
-    unit = np.array([np.cos(candidate.direction), np.sin(candidate.direction)])
-    return np.vstack([candidate.largest * steps[:, None] * unit, np.zeros(2)])
+    steps = np.append((np.arange(STEPS) + 0.5) / STEPS, 0.0)
+    return candidate.largest * steps[:, None] * _unit(candidate.direction)
+
+
+def _unit(direction: float) -> Array:
+    return np.array([np.cos(direction), np.sin(direction)])
 
 
 def tag_derivatives(
-    solved: Equilibrium, bench: Instruments, candidate: PlannedPush, mass: float, on_nodes: Array, tags: Array
+    beam: Beam, bench: Instruments, candidate: PlannedPush, basis: Callable[[Array], Array], more: Array | None = None
 ) -> TagDerivatives:
-    """Derivatives of the tags' poses with coefficients of log k, given at the nodes (Q, C), and with all else; `mass`
-    in kg."""
+    """Of the bench's tags, and of tags at `more` places, with coefficients of log k on this `basis` (S,) -> (S, C), and
+    with all else. Raises `MechanicsError` if the beam buckles or snaps through."""
+    solved, tags = solve_push(beam, bench, candidate), np.array(bench.tags)
+    tags = tags if more is None else np.append(tags, more)
     problem, nodes = solved.problem, solved.problem.grid.nodes
-    per_length = mass / bench.length * MASS_MODES.curvature(nodes)
+    per_length = _mean_of(beam.mass_per_length) * MASS_MODES.curvature(nodes)
     pushed, push_s = _forces(candidate), np.asarray(candidate.at_s)
     _, across = prediction.along_and_across(pushed, solved.angle(push_s[None])[:, 0])
-    beam = prediction.BentBeam(
+    bent = prediction.BentBeam(
         solved,
-        on_nodes,
+        basis(nodes),
         REST_MODES.curvature(nodes),
         pushed,
         np.any(pushed != 0.0, axis=1)[:, None] * np.asarray(nodes < push_s, dtype=float),
         np.zeros_like(nodes),
         of_mass(problem, per_length, np.asarray(bench.gravity)[None]),
     )
-    changes = prediction.load_changes(beam) | {"place": prediction.push_moment(problem, push_s, across)}
-    blocks = prediction.place_responses(solved, prediction.response_columns(changes, beam), tags)
+    changes = prediction.load_changes(bent) | {"place": prediction.push_moment(problem, push_s, across)}
+    blocks = prediction.place_responses(solved, prediction.response_columns(changes, bent), tags)
     pushes = prediction.push_forces(pushed, np.eye(2), np.zeros_like(pushed))
     blocks |= {name: blocks["push"] @ force[:, None] for name, force in pushes.items()}
-    pose = np.concatenate([solved.xy(tags), solved.angle(tags)[..., None]], axis=-1)
+    poses = solved.poses(np.append(tags, 1.0))
     bend = apply(problem.grid.value_at(tags), solved.q) / bench.length
     nothing = np.zeros(len(tags))
-    motion = prediction.TagRide(pose[..., 2], nothing, nothing).motion(pose[..., :2], bend)
-    return TagDerivatives(tags, blocks, motion)
+    motion = prediction.TagRide(poses[:, :-1, 2], nothing, nothing).motion(poses[:, :-1, :2], bend)
+    return TagDerivatives(candidate, tags, poses[:, -1], blocks, motion)
 
 
-def mass_of(beam: Beam) -> float:
-    """kg."""
+def _mean_of(profile: Profile) -> float:
     x, w = np.polynomial.legendre.leggauss(32)
-    return float(0.5 * beam.length * w @ np.asarray(beam.mass_per_length(0.5 * (x + 1.0))))
+    return float(0.5 * w @ np.asarray(profile(0.5 * (x + 1.0))))
 
 
-def joint_information(seen: TagDerivatives, bench: Instruments, candidate: PlannedPush, chosen: IntArray) -> Array:
-    """(C + N, C + N) of coefficients and shared nuisances. `chosen` rows of `seen.tags` are watched: the bench's own
-    tags first."""
+def joint_information(seen: TagDerivatives, bench: Instruments, more: int | None = None) -> Array:
+    """(C + N, C + N) of coefficients and shared nuisances, by the bench's own tags, and tag number `more` of `seen`."""
+    own = len(bench.tags)
+    chosen = np.arange(own) if more is None else np.append(np.arange(own), more)
     jacobian, own_sd = _columns(seen, bench, chosen)
     frames, rows, columns = len(jacobian), 3 * len(chosen), jacobian.shape[-1]
-    extra = len(chosen) - len(bench.tags)
-    sd = np.vstack([bench.tag_sd, np.repeat(bench.tag_sd[-1:], extra, axis=0)]).ravel()
+    sd = bench.tag_sd[np.minimum(np.arange(len(chosen)), own - 1)].ravel()
     counts = np.append(np.full(frames - 1, bench.frames / (frames - 1)), 1.0)
     root = np.sqrt(counts)[:, None] / sd  # (F, R)
     j = root[..., None] * jacobian.reshape(frames, rows, columns)
     a = root[:-1, :, None] * seen.push[:-1, chosen].reshape(frames - 1, rows, 2)
     flat = j.reshape(-1, columns)
     aj = (np.swapaxes(a, 1, 2) @ j[:-1]).reshape(-1, columns)  # (2 (F - 1), columns)
-    information = flat.T @ flat - aj.T @ _doubt_left(a, force_covariance(bench, candidate)) @ aj
+    information = flat.T @ flat - aj.T @ _doubt_left(a, force_covariance(bench, seen.made)) @ aj
     return eliminate(information, len(own_sd), 1.0 / own_sd**2)
 
 
@@ -137,10 +145,9 @@ def information(beam: Beam, bench: Instruments, candidate: PlannedPush) -> Array
     stiffness = beam.stiffness
     if not isinstance(stiffness, LogSpline):
         raise LearningError("information is on the coefficients of a log-spline; give the beam such a stiffness")
-    solved = solve_push(beam, bench, candidate)
-    knots = np.asarray(stiffness.knots)
-    on_nodes = BSpline.design_matrix(solved.problem.grid.nodes, knots, stiffness.degree).toarray()
-    return _of_coefficients(solved, beam, bench, candidate, on_nodes)
+    knots, degree = np.asarray(stiffness.knots), stiffness.degree
+    seen = tag_derivatives(beam, bench, candidate, lambda s: BSpline.design_matrix(s, knots, degree).toarray())
+    return eliminate(joint_information(seen, bench), bench.shared_size, alone(bench))
 
 
 def force_covariance(bench: Instruments, candidate: PlannedPush) -> Array:
@@ -148,8 +155,7 @@ def force_covariance(bench: Instruments, candidate: PlannedPush) -> Array:
     force along the push."""
     one = _doubt_of_axis(bench.force, bench.seconds, bench.rest_before, bench.rest_after)
     one = one + np.eye(STEPS) * bench.force.frame**2 * STEPS / bench.frames
-    unit = np.array([np.cos(candidate.direction), np.sin(candidate.direction)])
-    rate = np.tile(candidate.largest / bench.seconds * unit, STEPS)
+    rate = np.tile(candidate.largest / bench.seconds * _unit(candidate.direction), STEPS)
     return np.asarray(np.kron(one, np.eye(2)) + bench.clock_sd**2 * np.outer(rate, rate))
 
 
@@ -201,15 +207,6 @@ def alone(bench: Instruments) -> Array:
 def with_better_sensor(bench: Instruments, times: float) -> Instruments:
     """The bench with a force sensor whose every error is `times` smaller."""
     return replace(bench, force=bench.force.times(1.0 / times), gain_sd=bench.gain_sd / times)
-
-
-def _of_coefficients(
-    solved: Equilibrium, beam: Beam, bench: Instruments, candidate: PlannedPush, on_nodes: Array
-) -> Array:
-    tags = np.asarray(bench.tags)
-    seen = tag_derivatives(solved, bench, candidate, mass_of(beam), on_nodes, tags)
-    joint = joint_information(seen, bench, candidate, np.arange(len(tags), dtype=np.int64))
-    return eliminate(joint, bench.shared_size, alone(bench))
 
 
 def _columns(seen: TagDerivatives, bench: Instruments, chosen: IntArray) -> tuple[Array, Array]:
@@ -307,8 +304,7 @@ def _reach_at(beam: Beam, bench: Instruments, at_s: float, directions: Array, li
 def _first_break(
     beam: Beam, bench: Instruments, at_s: float, direction: float, sizes: Array, limits: Limits
 ) -> tuple[float, float, str]:
-    unit = np.array([np.cos(direction), np.sin(direction)])
-    forces = np.vstack([sizes[:, None] * unit, np.zeros(2)])
+    forces = np.append(sizes, 0.0)[:, None] * _unit(direction)
     solved = follow(make_problem(beam, loads_of(bench, at_s, forces), RESOLUTION))
     broken = _broken(solved, bench, at_s, direction, limits)
     first = {why: int(np.argmax(rows[:-1])) for why, rows in broken.items() if np.any(rows[:-1])}
@@ -343,8 +339,7 @@ def _most_force(bench: Instruments, limits: Limits) -> float:
 
 
 def _stands(beam: Beam, bench: Instruments, at_s: float, direction: float, force: float) -> bool:
-    unit = np.array([[np.cos(direction), np.sin(direction)]])
-    solved = follow(make_problem(beam, loads_of(bench, at_s, force * unit), RESOLUTION))
+    solved = follow(make_problem(beam, loads_of(bench, at_s, force * _unit(direction)[None]), RESOLUTION))
     return bool(solved.stable[0] and np.isnan(solved.buckled_at[0]))
 
 
@@ -431,15 +426,6 @@ class PlanSettings:
 
 
 @dataclass(frozen=True)
-class _Candidate:
-    push: PlannedPush
-    seen: TagDerivatives
-    tip_moves: float
-    tip_turns: float
-    repeats: bool
-
-
-@dataclass(frozen=True)
 class _Known:
     covariance: Array  # (p + N, p + N), the common gain apart
     gain_sd: float
@@ -495,7 +481,7 @@ def plan(
     plain = [_propose(t, now, bench) for t in thoughts]
     other = [p for t in thoughts for p in _with_more(t, now, bench, settings)]
     first = min(plain, key=_left)
-    after = now.after(_information_of(thoughts[plain.index(first)], bench))
+    after = now.after(joint_information(thoughts[plain.index(first)], bench))
     second = min((_propose(t, after, bench) for t in thoughts), key=_left)
     ranked = _distinct(sorted([*plain, *other], key=_cost_and_left), settings)
     return Plan(now.quality(), now.sd(), ranked, (first, second), left_out)
@@ -504,12 +490,8 @@ def plan(
 def after_push(uncertain: UncertainStiffness, beam: Beam, bench: Instruments, push: PlannedPush) -> UncertainStiffness:
     """k(s) as known after one push with the present sensor, with the same mean. Raises `MechanicsError` without a
     stable equilibrium."""
-    beam = replace(beam, stiffness=uncertain.profile)
-    solved = solve_push(beam, bench, push)
-    tags = np.asarray(bench.tags)
-    seen = tag_derivatives(solved, bench, push, mass_of(beam), uncertain.basis(solved.problem.grid.nodes), tags)
-    told = joint_information(seen, bench, push, np.arange(len(tags)))
-    p = len(uncertain.mean)
+    seen = tag_derivatives(replace(beam, stiffness=uncertain.profile), bench, push, uncertain.basis)
+    told, p = joint_information(seen, bench), len(uncertain.mean)
     return replace(uncertain, covariance=_updated(bench.joint(uncertain.covariance), told)[:p, :p])
 
 
@@ -520,22 +502,16 @@ def _thoughts(
     found: list[LargestPush],
     settings: PlanSettings,
     progress: Progress,
-) -> Iterator[_Candidate]:
+) -> Iterator[TagDerivatives]:
     new = [
         PlannedPush(r.at_s, r.direction, share * r.largest) for r in found if not r.why_not for share in settings.sizes
     ]
     again = [p for i, p in enumerate(bench.pushes) if p.largest > 0.0 and p not in bench.pushes[:i]]
-    tags, mass = np.concatenate([bench.tags, _gaps(bench)]), mass_of(beam)
-    candidates = [(p, True) for p in again] + [(p, False) for p in new if not any(same_push(p, a) for a in again)]
-    for candidate, repeats in track(progress, "trying pushes", candidates, len(candidates)):
-        try:
-            solved = solve_push(beam, bench, candidate)
-        except MechanicsError:
-            continue  # a push that was made once stands on its way there, but perhaps not when it grows straight
-        seen = tag_derivatives(solved, bench, candidate, mass, uncertain.basis(solved.problem.grid.nodes), tags)
-        ends = solved.xy(np.ones(1))[[-2, -1], 0]
-        turns = solved.angle(np.ones(1))[[-2, -1], 0]
-        yield _Candidate(candidate, seen, float(np.hypot(*(ends[0] - ends[1]))), float(turns[0] - turns[1]), repeats)
+    candidates = [*again, *(p for p in new if not any(same_push(p, a) for a in again))]
+    for candidate in track(progress, "trying pushes", candidates, len(candidates)):
+        # a push that was made once stands on its way there, but perhaps not when it grows straight
+        with suppress(MechanicsError):
+            yield tag_derivatives(beam, bench, candidate, uncertain.basis, _gaps(bench))
 
 
 def _gaps(bench: Instruments) -> Array:
@@ -544,28 +520,22 @@ def _gaps(bench: Instruments) -> Array:
     return np.append(middles, 1.0) if edges[-1] < 0.9 else middles
 
 
-def _information_of(candidate: _Candidate, bench: Instruments, more: int | None = None) -> Array:
-    own = len(bench.tags)
-    chosen = np.arange(own) if more is None else np.append(np.arange(own), more)
-    return joint_information(candidate.seen, bench, candidate.push, chosen)
+def _propose(seen: TagDerivatives, now: _Known, bench: Instruments, more: int | None = None) -> Proposal:
+    return _proposal(seen, now, now.after(joint_information(seen, bench, more)), bench)
 
 
-def _propose(candidate: _Candidate, now: _Known, bench: Instruments) -> Proposal:
-    return _proposal(candidate, now, now.after(_information_of(candidate, bench)))
-
-
-def _with_more(candidate: _Candidate, now: _Known, bench: Instruments, settings: PlanSettings) -> Iterator[Proposal]:
-    for i in range(len(bench.tags), len(candidate.seen.tags)):
-        after = now.after(_information_of(candidate, bench, i))
-        yield replace(_proposal(candidate, now, after), added_tag=float(candidate.seen.tags[i]))
+def _with_more(seen: TagDerivatives, now: _Known, bench: Instruments, settings: PlanSettings) -> Iterator[Proposal]:
+    for i in range(len(bench.tags), len(seen.tags)):
+        yield replace(_propose(seen, now, bench, i), added_tag=float(seen.tags[i]))
     better = with_better_sensor(bench, settings.better_sensor)
-    after = now.after_other_sensor(_information_of(candidate, better), better.gain_sd)
-    yield replace(_proposal(candidate, now, after), better_sensor=settings.better_sensor)
+    after = now.after_other_sensor(joint_information(seen, better), better.gain_sd)
+    yield replace(_proposal(seen, now, after, bench), better_sensor=settings.better_sensor)
 
 
-def _proposal(candidate: _Candidate, now: _Known, after: _Known) -> Proposal:
-    made = {name: value for name, value in vars(candidate).items() if name != "seen"}
-    return Proposal(**made, before=now.quality(), after=after.quality(), sd=after.sd())
+def _proposal(seen: TagDerivatives, now: _Known, after: _Known, bench: Instruments) -> Proposal:
+    x, y, turned = (seen.tip[-2] - seen.tip[-1]).tolist()
+    again = seen.made in bench.pushes
+    return Proposal(seen.made, again, math.hypot(x, y), turned, now.quality(), after.quality(), after.sd())
 
 
 def _left(proposal: Proposal) -> float:

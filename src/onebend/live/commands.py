@@ -64,14 +64,8 @@ class StateView(Generic[State]):
                 self._console.print(line, markup=False)
 
 
-class RecordingView(StateView[CaptureState]):
-    """What `onebend record` shows while it records."""
-
-    def __init__(self, console: Console | None) -> None:
-        super().__init__(console, recording_screen, _recording_line)
-
-
-def _recording_line(state: CaptureState) -> tuple[object, str]:
+def recording_line(state: CaptureState) -> tuple[object, str]:
+    """What is said of a recording on a pipe."""
     advice = "; ".join(state.advice[:2])
     said = state.stage, without_numbers(state.advice[0] if state.advice else "")
     return said, f"{state.seconds:6.1f} s  {STAGE_NAMES[state.stage]}: {advice}"
@@ -186,7 +180,8 @@ def record(
         sources = live.camera_of(camera), None if force in (None, "none") else live.force_of(force)
         if like is not None:
             live.copy_description(like, folder)
-        with stopped_by_hand() as (stop, begin), RecordingView(None if quiet or as_json else stderr_screen()) as view:
+        shown = StateView(None if quiet or as_json else stderr_screen(), recording_screen, recording_line)
+        with stopped_by_hand() as (stop, begin), shown as view:
             clock = live.PlayedClock() if asked.fast else None
             outcome = live.record(folder, *sources, settings, view.show, stop, begin=begin, clock=clock)
         if outcome.film is None or outcome.fault:

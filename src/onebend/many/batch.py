@@ -18,7 +18,7 @@ import numpy as np
 import pyarrow as pa
 
 from onebend.errors import RecordingError, ResultsError
-from onebend.files.publish import SUMMARY, check_place, enter, finish, with_checksum
+from onebend.files.publish import SUMMARY, check_place, enter, finish, headed, with_checksum
 from onebend.files.single_file import as_parquet, write_file
 from onebend.many import tasks
 from onebend.progress import Progress, Silent, track
@@ -113,7 +113,7 @@ def _take(out: Path) -> None:
         return
     if out.exists() and any(out.iterdir()):
         raise ResultsError(f"{out}: holds files that are not of a batch. Choose another -o")
-    write_file(marker, to_json({"format": BATCH_FORMAT, "written_by": f"onebend {version('onebend')}"}) + "\n")
+    write_file(marker, to_json(headed(BATCH_FORMAT)) + "\n")
 
 
 def _all(
@@ -306,12 +306,11 @@ WIDE, HIGH = 100.0, 60.0  # of a small picture
 STEP = 4  # of PLACES, in small pictures
 
 
-def page(outcome: BatchOutcome, *, version: str) -> str:
+def page(outcome: BatchOutcome) -> str:
     least, most = _range(outcome.records)
     names = sorted({item.group for item in outcome.items})
     rows = answers(outcome)
     content = {
-        "version": version,
         "title": one_line(f"Batch {outcome.out.name}"),
         "cards": _cards(outcome),
         "grouped": any(names),
@@ -375,10 +374,8 @@ def _points(s: Array, k: Array, least: float, most: float) -> list[str]:
     return [f"{WIDE * x:.4g},{HIGH * (1.0 - y):.4g}" for x, y in zip(s, share, strict=True)]
 
 
-def summary_of(outcome: BatchOutcome, *, written_by: str) -> dict[str, Any]:
-    return {
-        "format": BATCH_FORMAT,
-        "written_by": written_by,
+def summary_of(outcome: BatchOutcome) -> dict[str, Any]:
+    return headed(BATCH_FORMAT) | {
         "recordings": len(outcome.items),
         "learned": len(outcome.learned),
         "worked_on_now": outcome.learned_now,
@@ -387,7 +384,7 @@ def summary_of(outcome: BatchOutcome, *, written_by: str) -> dict[str, Any]:
     }
 
 
-def write_batch(outcome: BatchOutcome, summary: dict[str, Any], *, version: str) -> None:
+def write_batch(outcome: BatchOutcome, summary: dict[str, Any]) -> None:
     """Writes tables, page and summary, which lists them by checksum. Raises `RecordingError`: a column has the name of
     one of ours. Raises `ResultsError`: a file cannot be written."""
     made = {
@@ -395,7 +392,7 @@ def write_batch(outcome: BatchOutcome, summary: dict[str, Any], *, version: str)
         "curves.parquet": as_parquet(curves_table(outcome)),
         "covariances.parquet": as_parquet(covariances_table(outcome)),
         "nuisances.parquet": as_parquet(nuisances_table(outcome)),
-        "index.html": page(outcome, version=version).encode(),
+        "index.html": page(outcome).encode(),
     }
     files = {name: hashlib.sha256(content).hexdigest() for name, content in made.items()}
     listed = with_checksum(json.loads(to_json({**summary, "files": {**files, SUMMARY: None}})))

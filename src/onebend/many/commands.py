@@ -14,8 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-import onebend
-from onebend.cli import BY, common
+from onebend.cli import common
 from onebend.many import batch as batches, population_report
 from onebend.many.batch import BatchOutcome, run_batch
 from onebend.many.population import TABLES, read_batch
@@ -119,8 +118,8 @@ def batch(
     with common.clean_errors():
         with common.progress_of(quiet) as progress:
             outcome = run_batch(source, output, **vars(asked), progress=progress)
-        summary = batches.summary_of(outcome, written_by=BY)
-        batches.write_batch(outcome, summary, version=onebend.__version__)
+        summary = batches.summary_of(outcome)
+        batches.write_batch(outcome, summary)
     common.answer(as_json, summary, lambda console: show_batch(console, outcome), output)
 
 
@@ -145,10 +144,8 @@ def population(
         inputs = inputs_of([results / f"{name}.parquet" for name in TABLES])
         found = population_report.population(read_batch(results, setting.by, setting.same), setting)
         pictures = population_report.draw_figures(found, progress=progress)
-        summary = population_report.summary_of(found, written_by=BY)
-        name, version = results.resolve().name, onebend.__version__
-        tables = partial(
-            population_report.write_report, outcome=found, figures=pictures.drawn, name=name, version=version
-        )
+        summary = population_report.summary_of(found)
+        name = results.resolve().name
+        tables = partial(population_report.write_report, outcome=found, figures=pictures.drawn, name=name)
         common.put_results(place, summary, tables, pictures, figures=None, inputs=inputs)
     common.answer(as_json, summary, lambda console: show_population(console, found, output), output)

@@ -14,6 +14,7 @@ import pyarrow as pa
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from onebend.files.publish import headed
 from onebend.files.single_file import as_csv, as_parquet
 from onebend.many import population as model
 from onebend.options import option
@@ -245,10 +246,9 @@ SPREAD = {
 }
 
 
-def page(outcome: PopulationOutcome, figures: Mapping[str, bytes], *, name: str, version: str) -> str:
+def page(outcome: PopulationOutcome, figures: Mapping[str, bytes], *, name: str) -> str:
     named = outcome.named
     content = {
-        "version": version,
         "title": one_line(f"Population {name}"),
         "cards": _cards(outcome),
         "group_heads": ("group", "objects", "recordings", "half-width of the mean"),
@@ -304,11 +304,9 @@ def spread_rows(outcome: PopulationOutcome) -> list[tuple[str, list[float]]]:
 POPULATION_FORMAT = "onebend-population-1"
 
 
-def summary_of(outcome: PopulationOutcome, *, written_by: str) -> dict[str, Any]:
+def summary_of(outcome: PopulationOutcome) -> dict[str, Any]:
     named, told = outcome.named, ("group", "objects", "half_band")
-    return {
-        "format": POPULATION_FORMAT,
-        "written_by": written_by,
+    return headed(POPULATION_FORMAT) | {
         "by": outcome.setting.by,
         "object": outcome.setting.same,
         "groups": [{name: row[name] for name in told} for row in group_rows(outcome)],
@@ -320,11 +318,9 @@ def summary_of(outcome: PopulationOutcome, *, written_by: str) -> dict[str, Any]
     }
 
 
-def write_report(
-    folder: Path, outcome: PopulationOutcome, figures: Mapping[str, bytes], *, name: str, version: str
-) -> None:
+def write_report(folder: Path, outcome: PopulationOutcome, figures: Mapping[str, bytes], *, name: str) -> None:
     """`figures`: PNGs by name."""
     for key, table in tables(outcome).items():
         (folder / f"{key}.parquet").write_bytes(as_parquet(table))
         (folder / f"{key}.csv").write_bytes(as_csv(table))
-    (folder / "report.html").write_text(page(outcome, figures, name=name, version=version), encoding="utf-8")
+    (folder / "report.html").write_text(page(outcome, figures, name=name), encoding="utf-8")

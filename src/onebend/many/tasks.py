@@ -348,10 +348,8 @@ def _has_folder(item: Item, out: Path, hashed: str) -> bool:
 def _write_folder(item: Item, run: Run, settings: TaskSettings, files: tuple[InputFile, ...], hashed: str) -> None:
     """As `onebend learn`, without pictures."""
     made_from = provenance(files, {}, {"fit": settings.fitting, "observing": settings.observing})
-    summary: Mapping[str, Any] = {**summary_of(run, written_by=f"onebend {settings.version}"), "record": hashed}
-    write: Callable[[Path], None] = learned_writer(
-        run, Pictures(), summary, version=settings.version, made_from=made_from
-    )
+    summary: Mapping[str, Any] = {**summary_of(run), "record": hashed}
+    write: Callable[[Path], None] = learned_writer(run, Pictures(), summary, made_from=made_from)
     place = publishing.prepare(folder_path(item, settings.out), kind=LEARN_FORMAT, overwrite=True)
     try:
         publishing.publish(place, write, made_from)

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
-from pyapriltags import Detector
 from scipy.special import ndtr
 
 from onebend.errors import RecordingError
@@ -81,11 +80,17 @@ def printed_tag(tag_id: int, family: str = FAMILIES[0]) -> PrintedTag:
     return PrintedTag(tag_id, cells, layout.border)
 
 
+def _detector(family: str) -> Any:
+    from pyapriltags import Detector  # here: who reads an outline looks for no tags
+
+    return Detector(families=family, quad_decimate=1.0)
+
+
 @cache
 def _family(name: str) -> _Family:
     if name not in FAMILIES:
         raise RecordingError(f"{name!r} is not a family of tags. Take one of {', '.join(FAMILIES)}.")
-    detector = Detector(families=name)  # owns the memory that is read below
+    detector = _detector(name)  # owns the memory that is read below
     table = detector.tag_families[name].contents
     return _Family(
         codes=tuple(int(table.codes[i]) for i in range(table.ncodes)),
@@ -299,7 +304,7 @@ class Finder:
 
     def __init__(self, family: str) -> None:
         self.cells = CELLS.get(family)
-        self._detector = Detector(families=family, quad_decimate=1.0)
+        self._detector = _detector(family)
         table: Any = self._detector.tag_families[family].contents
         self._border = int(table.width_at_border)
         self.most_errors = most_errors(table.ncodes, table.nbits)

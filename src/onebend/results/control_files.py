@@ -13,21 +13,17 @@ from onebend.control.path import FollowedPath, PathSpread
 from onebend.control.reach import SURE, PredictedError, Reach, ReachInSetUp
 from onebend.control.shape import ShapeResult
 from onebend.control.trajectory_files import columns, write_yaml
+from onebend.files.publish import headed
 from onebend.results.tables import write_columns, write_csv
 
 REACH_FORMAT = "onebend-reach-1"
 PATH_COLUMNS = ("step", "force_x_N", "force_y_N", "moment_N_m", "point_x_m", "point_y_m")
 
 
-def reach_summary(
-    model: str, result: Reach | ReachInSetUp, error: PredictedError | None, *, written_by: str
-) -> dict[str, Any]:
+def reach_summary(model: str, result: Reach | ReachInSetUp, error: PredictedError | None) -> dict[str, Any]:
     """`reach --json` and `summary.json`; SI and radians."""
     nearest = result.nearest
-    return {
-        "format": REACH_FORMAT,
-        "written_by": written_by,
-        "model": model,
+    return headed(REACH_FORMAT, model=model) | {
         "method": result.settings.method,
         "push_s": result.push_s,
         "point_s": result.point_s,
@@ -83,14 +79,11 @@ TARGET_ROWS = (
 SHAPE_ROWS = ("s", "x_m", "y_m", "angle_rad")
 
 
-def shape_summary(model: str, result: ShapeResult, *, written_by: str) -> dict[str, Any]:
+def shape_summary(model: str, result: ShapeResult) -> dict[str, Any]:
     """`shape --json` and `summary.json`; SI and radians."""
     actuators, spread = result.state.actuators, result.spread
     held = actuators.grip is not None
-    return {
-        "format": SHAPE_FORMAT,
-        "written_by": written_by,
-        "model": model,
+    return headed(SHAPE_FORMAT, model=model) | {
         "push_s": [pusher.at_s for pusher in actuators.pushes],
         "force_N": result.forces,
         "gripper_pose": dict(zip(("x_m", "y_m", "angle_rad"), result.pose, strict=True)) if held else None,
@@ -122,12 +115,9 @@ def write_shape(folder: Path, result: ShapeResult) -> None:
     write_columns(folder / "shape.csv", dict(zip(SHAPE_ROWS, columns, strict=True)))
 
 
-def path_summary(model: str, way: FollowedPath, sure: PathSpread | None, *, written_by: str) -> dict[str, Any]:
+def path_summary(model: str, way: FollowedPath, sure: PathSpread | None) -> dict[str, Any]:
     """`path --json` and `summary.json`."""
-    return {
-        "format": PATH_FORMAT,
-        "written_by": written_by,
-        "model": model,
+    return headed(PATH_FORMAT, model=model) | {
         "push_s": [pusher.at_s for pusher in way.actuators.pushes],
         "grip": way.actuators.grip is not None,
         "samples": len(way.time),
@@ -152,15 +142,10 @@ LOOP_FORMAT = "onebend-loop-1"
 LOOP_COLUMNS = ("k_factor", "time_s", "x_m", "y_m", "asked_x_N", "asked_y_N", "force_x_N", "force_y_N", "error_m")
 
 
-def loop_summary(
-    model: str, control: Controller, known: Margins, trials: tuple[LoopTrial, ...], *, written_by: str
-) -> dict[str, Any]:
+def loop_summary(model: str, control: Controller, known: Margins, trials: tuple[LoopTrial, ...]) -> dict[str, Any]:
     """`loop --json` and `summary.json`; SI; null is infinite."""
     timing = control.settings.timing
-    return {
-        "format": LOOP_FORMAT,
-        "written_by": written_by,
-        "model": model,
+    return headed(LOOP_FORMAT, model=model) | {
         "push_s": control.push_s,
         "point_s": control.point_s,
         "goal_m": control.goal.tolist(),

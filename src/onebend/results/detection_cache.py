@@ -55,9 +55,9 @@ class DetectionCache:
         return found
 
 
-def detection_cache(version: str, keep: Keep | None = None) -> DetectionCache:
+def detection_cache(keep: Keep | None = None) -> DetectionCache:
     """The user's cache."""
-    return DetectionCache(users_folder(), version, keep)
+    return DetectionCache(users_folder(), version("onebend"), keep)
 
 
 def key_of(video: VideoEntry, tags: TagsEntry, version: str) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from onebend.files.publish import write_summary
+from onebend.files.publish import headed, this_onebend, write_summary
 from onebend.learning.design import PLACES, Plan, Proposal
 from onebend.learning.instruments import instruments_if_pushed, setup_of
 from onebend.learning.outcome import Comparison, Learned, stated_section
@@ -35,19 +35,18 @@ def learned_writer(
     pictures: Pictures | None,
     summary: Mapping[str, Any],
     *,
-    version: str,
     made_from: Mapping[str, Any] = {},
     tables: Writer | None = None,
 ) -> Writer:
     """Writer for `publish`. `pictures`: None for no report. `made_from`: from `provenance`. `tables`: default
     `tables_writer`."""
-    write_tables = tables or tables_writer(findings, version=version)
+    write_tables = tables or tables_writer(findings)
 
     def write(folder: Path) -> None:
         write_tables(folder)
         if pictures is not None:
             shown = made_from.get("provenance")
-            html = page(findings, pictures.drawn, version=version, made_from=shown, film=pictures.film)
+            html = page(findings, pictures.drawn, made_from=shown, film=pictures.film)
             (folder / "report.html").write_text(html, encoding="utf-8")
             pictures.write(folder / "figures")
         write_summary(folder, summary)
@@ -55,13 +54,13 @@ def learned_writer(
     return write
 
 
-def tables_writer(findings: Run, *, version: str) -> Writer:
+def tables_writer(findings: Run) -> Writer:
     """Writes model, tables and observations, which are computed once."""
     made: dict[str, bytes] = {}
 
     def write(folder: Path) -> None:
         if not made:
-            _write_tables(folder, findings, version)
+            _write_tables(folder, findings)
             made.update({path.name: path.read_bytes() for path in folder.iterdir()})
         else:
             for name, content in made.items():
@@ -70,14 +69,14 @@ def tables_writer(findings: Run, *, version: str) -> Writer:
     return write
 
 
-def _write_tables(folder: Path, findings: Run, version: str) -> None:
+def _write_tables(folder: Path, findings: Run) -> None:
     learned, posterior = findings.learned, findings.posterior
     uncertain = None if posterior is None else posterior.stiffness
     origin = origin_of(learned, posterior, findings.trainings)
     bench, setup = (None, None) if posterior is None else (instruments_if_pushed(posterior), setup_of(posterior))
     beam, section = findings.beam, stated_section(findings.recordings)
     stored = StoredModel(beam, origin, uncertain, bench, setup, section=section)
-    (folder / FILE_NAME).write_text(model_text(stored, written_by=f"onebend {version}"), encoding="utf-8")
+    (folder / FILE_NAME).write_text(model_text(stored, written_by=this_onebend()), encoding="utf-8")
     write_stiffness(folder / "stiffness.csv", beam, uncertain, section)
     if learned is not None:
         write_selection(folder / "selection.csv", learned)
@@ -105,13 +104,11 @@ DAMP_FORMAT = "onebend-damp-1"
 FREQUENCIES_FORMAT = "onebend-frequencies-1"
 
 
-def summary_of(findings: Run, *, written_by: str) -> dict[str, Any]:
+def summary_of(findings: Run) -> dict[str, Any]:
     """`learn --json` and `summary.json`."""
     learned, posterior, first = findings.learned, findings.posterior, findings.recordings[0]
     uncertain = None if posterior is None else posterior.stiffness
-    return {
-        "format": LEARN_FORMAT,
-        "written_by": written_by,
+    return headed(LEARN_FORMAT) | {
         "recordings": [recording.source.name for recording in findings.recordings],
         "length_m": first.length,
         "method": "fit" if posterior is not None or learned is None else learned.method,
@@ -126,26 +123,19 @@ def summary_of(findings: Run, *, written_by: str) -> dict[str, Any]:
     }
 
 
-def validation_summary(
-    model: str, pairs: Sequence[tuple[Comparison, Observations]], *, written_by: str
-) -> dict[str, Any]:
+def validation_summary(model: str, pairs: Sequence[tuple[Comparison, Observations]]) -> dict[str, Any]:
     """`validate --json`."""
     rows = []
     for comparison, recording in pairs:
         remarks = [remark.as_dict() for remark in pair_remarks(comparison, recording)]
         rows.append(comparison_summary(comparison) | {"remarks": remarks})
     verdict = validation_verdict([comparison for comparison, _ in pairs])
-    return {
-        "format": VALIDATE_FORMAT, "written_by": written_by, "model": model, "verdict": verdict, "validation": rows
-    }  # fmt: skip
+    return headed(VALIDATE_FORMAT, model=model, verdict=verdict, validation=rows)
 
 
-def plan_summary(model: str, plan: Plan, *, written_by: str) -> dict[str, Any]:
+def plan_summary(model: str, plan: Plan) -> dict[str, Any]:
     """`plan --json`, in SI."""
-    return {
-        "format": PLAN_FORMAT,
-        "written_by": written_by,
-        "model": model,
+    return headed(PLAN_FORMAT, model=model) | {
         "before": vars(plan.before),
         "s": PLACES.tolist(),
         "sd_log_k": plan.sd.tolist(),
@@ -171,12 +161,9 @@ def _proposal(one: Proposal) -> dict[str, Any]:
     }
 
 
-def damp_summary(model: str, fit: SwingFit, *, written_by: str) -> dict[str, Any]:
+def damp_summary(model: str, fit: SwingFit) -> dict[str, Any]:
     """`damp --json`."""
-    return {
-        "format": DAMP_FORMAT,
-        "written_by": written_by,
-        "model": model,
+    return headed(DAMP_FORMAT, model=model) | {
         "damping": fit.damping.as_dict(),
         "k_over_mass": {"factor": fit.factor, "sd": fit.factor_sd, "model_sd": fit.model_sd}
         if fit.mass_known
@@ -192,13 +179,10 @@ def damp_summary(model: str, fit: SwingFit, *, written_by: str) -> dict[str, Any
     }
 
 
-def frequencies_summary(source: str, found: FoundFrequencies, *, written_by: str) -> dict[str, Any]:
+def frequencies_summary(source: str, found: FoundFrequencies) -> dict[str, Any]:
     """`frequencies --json`."""
     names = {"frequency": "hz", "sd": "sd_hz", "multiple_of": "multiple_of_hz"}
-    return {
-        "format": FREQUENCIES_FORMAT,
-        "written_by": written_by,
-        "source": source,
+    return headed(FREQUENCIES_FORMAT, source=source) | {
         "modes": [{names.get(name, name): value for name, value in asdict(one).items()} for one in found.modes],
         "from_s": found.begin,
         "to_s": found.end,

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from onebend.files.publish import headed
 from onebend.learning.sensing.forces import LEVEL
 from onebend.learning.sensing.sense import Sensed
 from onebend.learning.sensing.sensor import SensorCheck
@@ -18,14 +19,11 @@ from onebend.results.tables import write_columns
 SENSE_FORMAT = "onebend-sense-1"
 
 
-def sense_summary(model: str, found: Sensed, *, written_by: str) -> dict[str, Any]:
+def sense_summary(model: str, found: Sensed) -> dict[str, Any]:
     """`sense --json` and `summary.json`; SI."""
     fit, peak = found.misfit, found.peak
     difference = found.against_log
-    return {
-        "format": SENSE_FORMAT,
-        "written_by": written_by,
-        "model": model,
+    return headed(SENSE_FORMAT, model=model) | {
         "recording": found.name,
         "level": LEVEL,
         "place": found.settings.place,

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import onebend
 from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.paper import RegressionSettings
@@ -31,7 +30,7 @@ def work(wanted: Mapping[str, Any]) -> None:
     try:
         inputs = inputs_of(recording_files([*recordings, *validate]))
         progress = Lines()
-        detect = detection_cache(onebend.__version__).detect
+        detect = detection_cache().detect
         run = learn(recordings[0], *recordings[1:], validate_on=validate, detect=detect, progress=progress)
         settings = {"fit": FitSettings(), "regression": RegressionSettings(), "observing": ObserveSettings()}
         made_from = provenance(inputs, wanted, settings)
@@ -47,9 +46,7 @@ def work(wanted: Mapping[str, Any]) -> None:
 
 
 def _put(place: OutputFolder, run: Run, pictures: Pictures, made_from: dict[str, Any]) -> None:
-    version = onebend.__version__
-    summary = summary_of(run, written_by=f"onebend {version}")
-    write = learned_writer(run, pictures, summary, version=version, made_from=made_from)
+    write = learned_writer(run, pictures, summary_of(run), made_from=made_from)
     publish(place, write, {**made_from, "pictures_failed": pictures.failed})
 
 

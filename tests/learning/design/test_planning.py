@@ -245,10 +245,10 @@ def test_a_proposal_in_one_line(next_pushes: Plan) -> None:
         assert text.startswith(f"{'once more: ' if one.repeats else ''}push at s = {one.push.at_s:.2f}, ")
         assert "->" in text
         assert (f", with {words(one.needs)}: k(s)" in text) if one.needs else (", with" not in text)
-    assert plan_summary("model", next_pushes, written_by="")["proposals"][-1]["text"] == text
+    assert plan_summary("model", next_pushes)["proposals"][-1]["text"] == text
 
 
 def test_everything_in_the_plan_is_finite(next_pushes: Plan) -> None:
-    json.dumps(plan_summary("model", next_pushes, written_by=""), allow_nan=False)
+    json.dumps(plan_summary("model", next_pushes), allow_nan=False)
     sd: list[Array] = [next_pushes.sd, *(one.sd for one in next_pushes.proposals)]
     assert all(np.all(np.isfinite(one)) and len(one) == len(PLACES) for one in sd)

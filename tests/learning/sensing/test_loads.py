@@ -120,7 +120,7 @@ def test_files_screen_and_picture_of_a_moment(tmp_path: Path) -> None:
     assert axes.shape == (2, 2)
     moment = found.moment
     assert moment is not None
-    summary = sense_summary("model.json", found, written_by="test")
+    summary = sense_summary("model.json", found)
     to_json(summary)
     write_forces(tmp_path, found)
     assert not draw({"force": lambda: sensing(found)}).failed

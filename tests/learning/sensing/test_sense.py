@@ -217,7 +217,7 @@ def test_the_legend_of_the_force_stands_clear_of_its_title() -> None:
 
 def test_files_screen_and_picture(tmp_path: Path) -> None:
     found = sense(SOFT, observed(SOFT, few(4), noise=(3e-5, 1e-3)), settings=SOUGHT)
-    summary = sense_summary("model.json", found, written_by="test")
+    summary = sense_summary("model.json", found)
     to_json(summary)
     pictures = draw({"force": lambda: sensing(found)})
     write_forces(tmp_path, found)

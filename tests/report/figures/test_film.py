@@ -143,7 +143,7 @@ def test_frames_that_cannot_be_made_cost_only_themselves(filmed: Observations, m
 def test_the_slider_goes_through_the_film(filmed: Observations, tmp_path: Path) -> None:
     strip = film_strip(filmed, FIT, BEAM, UNCERTAIN)
     assert strip is not None
-    html = page(made_up.findings(0), {"fit": b"png"}, version="1", film=strip)
+    html = page(made_up.findings(0), {"fit": b"png"}, film=strip)
     assert len(html) < 5_000_000
     title = after_script(
         html,

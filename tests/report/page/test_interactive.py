@@ -79,7 +79,7 @@ def test_no_data_can_end_the_script_element() -> None:
 
 
 def test_the_page_allows_its_own_script_alone() -> None:
-    html = page(made_up.findings(0), {}, version="1")
+    html = page(made_up.findings(0), {})
     policy = re.search(r'Content-Security-Policy" content="([^"]*)"', html)
     script = re.search(r"<script>(.*?)</script>", html, re.DOTALL)
     assert policy is not None
@@ -146,7 +146,7 @@ document.title = JSON.stringify(said);
 def test_the_curve_is_read_by_touch_and_keys_and_the_beam_is_dragged(tmp_path: Path) -> None:
     found = made_up.findings(0)
     assert found.posterior is not None
-    html = page(found, {"stiffness": b"png"}, version="1").replace("<main>", '<main style="width: 390px">')
+    html = page(found, {"stiffness": b"png"}).replace("<main>", '<main style="width: 390px">')
     title = after_script(html, MOVES, tmp_path)
     touched, moved, end, dragged, released, free, hidden, touch, lost, width, paths = json.loads(markup.unescape(title))
     assert touched.startswith("s = 0.25 · 37.5 mm from the clamp · k = ")
@@ -168,7 +168,7 @@ def test_the_curve_is_read_by_touch_and_keys_and_the_beam_is_dragged(tmp_path: P
 
 
 def test_a_script_from_elsewhere_does_not_run(tmp_path: Path) -> None:
-    html = page(made_up.findings(0), {}, version="1")
+    html = page(made_up.findings(0), {})
     evil = "<script>document.title = 'taken'</script>"
     assert title_of(
         html.replace("</body>", f"{evil}<img src=x onerror=\"document.title='taken'\"></body>"), tmp_path
@@ -183,5 +183,5 @@ def test_the_scripts_are_small() -> None:
 def test_the_table_of_k_fits_a_phone(tmp_path: Path) -> None:
     script = """const table = document.querySelector("table.k");
 document.title = [table.rows.length, table.scrollWidth <= table.parentElement.clientWidth].join(" ");"""
-    html = page(made_up.findings(0), {}, version="1").replace("<main>", '<main style="width: 390px">')
+    html = page(made_up.findings(0), {}).replace("<main>", '<main style="width: 390px">')
     assert after_script(html, script, tmp_path, width=390) == "12 true"  # headless windows are 500 px or wider

@@ -29,7 +29,7 @@ def test_files_checksums_command_and_settings_are_shown(tmp_path: Path) -> None:
     for i, file in enumerate(files):
         file.write_bytes(b"x" * 1500 * (i + 1))
     made_from = provenance(inputs_of(files), {"n": None, "m": 3}, {"fit": FitSettings(most_frames=123)})
-    html = page(made_up.findings(0), {}, version="1", made_from=made_from["provenance"])
+    html = page(made_up.findings(0), {}, made_from=made_from["provenance"])
     text = Links(html).text
     for file in files:
         assert sha256_of(file) in text
@@ -43,7 +43,7 @@ def test_files_checksums_command_and_settings_are_shown(tmp_path: Path) -> None:
 
 
 def test_without_provenance_there_is_no_such_section() -> None:
-    assert "Provenance" not in Links(page(made_up.findings(0), {}, version="1")).text
+    assert "Provenance" not in Links(page(made_up.findings(0), {})).text
 
 
 def test_the_report_and_the_summary_say_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

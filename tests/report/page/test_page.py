@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from onebend import __version__
 from onebend.learning.fit_data import FitData
 from onebend.learning.outcome import another_beam, poor_fit
 from onebend.learning.verdict import fitted_rms
@@ -81,12 +82,12 @@ def test_every_figure_of_the_findings_is_drawn_and_shown(drawn: dict[str, bytes]
     }
     expected |= {f"validation-{i}-{what}" for i in (1, 2) for what in ("shapes", "residuals")}
     assert set(drawn) == expected  # and no fit: there is no video
-    links = Links(page(made_up.findings(2), drawn, version="1.2.3"))
+    links = Links(page(made_up.findings(2), drawn))
     assert sum(address.startswith("data:image/png;base64,") for address in links.addresses) == len(expected)
 
 
 def test_nothing_is_fetched_and_every_anchor_leads_somewhere() -> None:
-    html = page(made_up.findings(2), {"stiffness": PNG}, version="1.2.3")
+    html = page(made_up.findings(2), {"stiffness": PNG})
     links = Links(html)
     assert all(address.startswith(("data:", "#")) for address in links.addresses)
     assert {address[1:] for address in links.addresses if address.startswith("#")} <= set(links.ids)
@@ -95,11 +96,11 @@ def test_nothing_is_fetched_and_every_anchor_leads_somewhere() -> None:
 
 def test_page_says_the_figures() -> None:
     found = made_up.findings(2)
-    text = Links(page(found, {}, version="1.2.3")).text
+    text = Links(page(found, {})).text
     fit = made_up.posterior()
     k = fit.beam.stiffness(np.linspace(0, 1, 201))[fit.band(np.linspace(0, 1, 201)).identified]
     for words in (
-        "onebend 1.2.3",
+        f"onebend {__version__}",
         "n = 4 curvature modes",
         f"{significant(k.min())} … {significant(k.max())}\u00a0N\u00a0m",
         f"{millimetres(float(np.nanmax(fitted_rms(fit)[0])))}\u00a0mm (tag\u00a0",
@@ -122,7 +123,7 @@ def test_names_from_files_cannot_become_markup() -> None:
     found = made_up.findings(1)
     evil = "<script>alert(1)</script>"
     seen = with_source(found.recordings[0], name=evil, remarks=(Remark("warning", evil),))
-    html, clean = (page(one, {}, version="1.2.3") for one in (replace(found, recordings=(seen,)), found))
+    html, clean = (page(one, {}) for one in (replace(found, recordings=(seen,)), found))
     assert html.count("<script") == clean.count("<script") == 2  # the page's own, and its numbers
     assert evil not in html
     assert "&lt;script&gt;" in html
@@ -138,7 +139,7 @@ def test_points_of_an_outline_are_no_rows_of_tags() -> None:
     doubled |= {name: getattr(one, name)[:, first] for name in ("xy", "angle", "covariance")}
     doubled["tag_id"] = np.concatenate([[POINT_ID + 50], one.tag_id])
     outlined = replace(one, traced=np.arange(len(first)) == 0, **doubled)
-    text = Links(page(replace(found, recordings=(outlined,)), {}, version="0")).text
+    text = Links(page(replace(found, recordings=(outlined,)), {})).text
     assert str(POINT_ID + 50) not in text
     assert all(f"tag {i}" in text for i in one.tag_id)
 
@@ -160,7 +161,7 @@ def test_bare_findings_make_a_page_without_empty_sections(fitted: bool) -> None:
     )
     bare = replace(found, recordings=(seen,), remarks=())
     bare = replace(bare, learned=None) if fitted else bare  # the regression found no beam
-    links = Links(page(bare, draw_all(bare).drawn, version="1.2.3"))
+    links = Links(page(bare, draw_all(bare).drawn))
     assert "Validation" not in links.text
     assert ("Nuisances" in links.text) == fitted
     assert ("how n and m were chosen" in links.text) != fitted
@@ -258,7 +259,7 @@ def test_cards_count_the_recordings_and_keep_to_what_is_identified() -> None:
 def test_the_page_says_from_where_on_a_test_counts() -> None:
     found = made_up.findings(1)
     assert found.posterior is not None
-    text = Links(page(found, {}, version="1")).text
+    text = Links(page(found, {})).text
     assert alarm_words(found.posterior) in text
     assert "1 in 100 000 (1 in 320 " in alarm_words(found.posterior)
     assert "the recording itself can show" in text
@@ -280,7 +281,7 @@ def test_gravity_and_uncalibrated_cameras_are_said() -> None:
 def test_a_band_that_is_not_to_be_trusted_is_marked() -> None:
     found = made_up.findings(1)
     assert found.posterior is not None
-    clean = Links(page(found, {}, version="1")).text
+    clean = Links(page(found, {})).text
     assert "this band is not to be trusted" not in clean
     assert "The tests notice only errors above" in clean
     assert "Verdict: k(s) holds" in clean
@@ -290,19 +291,19 @@ def test_a_band_that_is_not_to_be_trusted_is_marked() -> None:
     for sds in (1.0, 9.0):
         doubted = replace(critic, findings=(replace(worst, score=score, sds=sds), *critic.findings[1:]))
         tested = replace(found, posterior=replace(found.posterior, criticism=doubted))
-        text = Links(page(tested, {}, version="1")).text
+        text = Links(page(tested, {})).text
         assert "1 in 1 000 000 000 or less" in text
         assert "stand out from what clean recordings show" in text
         assert ("this band is not to be trusted" in text) == (sds > 2.0)  # one that the band covers is marked, no more
     stopped = replace(found.posterior, optimum=replace(found.posterior.optimum, converged=False))
-    text = Links(page(replace(found, posterior=stopped), {}, version="1")).text
+    text = Links(page(replace(found, posterior=stopped), {})).text
     assert "this band is not to be trusted: the fit did not converge" in text
     assert "NOT TO BE TRUSTED" in text
     assert "Verdict: k(s) holds" not in text
     problem = found.posterior.problem
     moved = replace(problem, recordings=tuple(_moved(recording, 1.0) for recording in problem.recordings))
     far = replace(found.posterior, problem=moved)
-    text = Links(page(replace(found, posterior=far), {}, version="1")).text
+    text = Links(page(replace(found, posterior=far), {})).text
     assert "the fit misses tag" in text
     assert "The fit misses the tags too far for these tests" in text
     assert "known to±" not in text.replace(" ", "")
@@ -311,7 +312,7 @@ def test_a_band_that_is_not_to_be_trusted_is_marked() -> None:
 def test_what_is_allowed_for_stands_with_its_share() -> None:
     found = made_up.findings(0)
     assert found.posterior is not None
-    text = Links(page(found, {}, version="1")).text
+    text = Links(page(found, {})).text
     for row in allowance_rows(found.posterior):
         assert f"{row.name}{row.widening}{row.change}{row.sds}" in text
     assert any(share.name == "stretch and shear" for share in found.posterior.attributions)
@@ -331,5 +332,5 @@ def test_what_is_to_be_typed_stands_as_code_and_cannot_become_markup() -> None:
         "use it (<code>onebend reach</code>), not <code>&lt;b&gt;</code>"
     )
     assert code_in("one ` alone") == "one ` alone"
-    shown = page(made_up.findings(1), {}, version="1")
+    shown = page(made_up.findings(1), {})
     assert "`" not in re.sub(r"<(script|style).*?</\1>", "", shown, flags=re.DOTALL)

@@ -16,6 +16,7 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from onebend.beam.stiffness import UncertainStiffness, half_width_words
+from onebend.files.publish import this_onebend
 from onebend.learning.frequencies import compared_frequencies, worst_off
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Posterior
@@ -40,7 +41,7 @@ def render(
     look = Markup(page_file(COMMON, "look.css"))
     encoded = {key: base64.b64encode(png).decode("ascii") for key, png in figures.items()}
     script = Markup("\n".join(page_file(COMMON, file) for file in scripts))
-    given = {"look": look, "figures": encoded, "script": script, "policy": _policy(script)}
+    given = {"look": look, "figures": encoded, "script": script, "policy": _policy(script), "by": this_onebend()}
     return _environment(package, name).get_template(name).render(**given, **content)
 
 
@@ -262,14 +263,12 @@ def page(
     findings: Run,
     figures: Mapping[str, bytes],
     *,
-    version: str,
     made_from: Mapping[str, Any] | None = None,
     film: FilmStrip | None = None,
 ) -> str:
     """The report as HTML. `figures`: PNGs by name, as from `figures.draw_all`; missing ones are left out. `made_from`:
     the `provenance` of `summary.json`."""
-    content: dict[str, Any] = {"version": version, "made_from": made_from, "film": film, **_content(findings)}
-    content["data"] = script_data(findings, film)
+    content = {"made_from": made_from, "film": film, "data": script_data(findings, film), **_content(findings)}
     return render(COMMON, "page.html", figures, content, scripts=SCRIPTS)
 
 
