@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.truth import RECORDINGS, Truth, parser_of, read_truth
-from onebend.recording.camera import project, square
 from onebend.recording.entries import TagsEntry, VideoEntry
 from onebend.recording.folder import read_recording
+from onebend.recording.plane import project, square
 from onebend.recording.tags import detect_tags
 from onebend.recording.video import FilmFrame, Picture, read_frames
 from onebend.records import Array, View

@@ -40,7 +40,7 @@ CLOCK = 0.01  # s
 LEVEL, LEVEL_SD, SLOPE_SD = float(np.log(0.02)), 0.3, 0.5  # of log k
 THIRDS = 3
 # Those that need no camera's place. Of the mass in motion the basis is the tags' own accelerations, noise and all.
-ALLOWED: frozenset[str] = EVERY_ALLOWANCE - {"inertia", "heights", "camera", "rolling shutter"}
+ALLOWED: frozenset[str] = EVERY_ALLOWANCE - {"inertia", "camera", "rolling shutter"}
 LARGEST_SIZE = 3.0  # drawn; their prior, a half-Cauchy, goes on for ever
 SETTLE = 3  # times that the course of the push is taken from where the tags then are
 

@@ -26,11 +26,11 @@ from scipy.special import betaincinv
 from onebend.errors import OnebendError
 from onebend.lab.filming import recording_toml, write_log
 from onebend.lab.random_bench import LABORATORY, BenchRanges, random_bench
-from onebend.lab.virtual import DeclaredValues, VirtualBench, VirtualRecording, true_stiffness, virtual_recording
+from onebend.lab.virtual import VirtualBench, VirtualRecording, true_stiffness, virtual_recording
 from onebend.learning.optimizer import DOUBTS
 from onebend.learning.posterior import stiffness_of
 from onebend.pipeline import Run, learn
-from onebend.records import GAIN_SD, Array
+from onebend.records import Array
 
 ROOT = Path(__file__).parents[1]
 S = np.linspace(0.02, 0.98, 49)
@@ -84,7 +84,7 @@ def drawn(seed: int, mistaken: bool) -> VirtualBench:
     rng = np.random.default_rng([seed, 4117])
     ranges = BenchRanges(effects=LABORATORY if seed % 2 else None)
     if not mistaken:
-        return as_stated(random_bench(rng, ranges).bench, real=bool(seed % 2))
+        return random_bench(rng, ranges).bench
     off, way = float(rng.uniform(LEAST, MOST)), WAYS[seed % len(WAYS)]
     if way == WAYS[0]:
         acts, said = 1.0 - off, 1.0
@@ -95,17 +95,7 @@ def drawn(seed: int, mistaken: bool) -> VirtualBench:
         able = [one for one in (acts - off, acts + off) if INNERMOST <= one <= 1.0]
         said = float(rng.choice(able)) if able else (1.0 if 1.0 - acts > acts - INNERMOST else INNERMOST)
     bench = random_bench(rng, replace(ranges, pushed_at=(round(acts, 3),))).bench
-    bench = replace(bench, declared=replace(bench.declared, push_s=round(said, 3)))
-    return as_stated(bench, real=bool(seed % 2))
-
-
-def as_stated(bench: VirtualBench, *, real: bool) -> VirtualBench:
-    """A real bench with tolerances no closer than the usual ones, and a beam that may be curved at rest."""
-    if not real:
-        return bench
-    said = bench.declared
-    placement, gain = max(said.placement_sd, DeclaredValues.placement_sd), max(said.gain_sd, GAIN_SD)
-    return replace(bench, declared=replace(said, placement_sd=placement, gain_sd=gain, rest="unknown"))
+    return replace(bench, declared=replace(bench.declared, push_s=round(said, 3)))
 
 
 def written(made: VirtualRecording, folder: Path) -> Path:

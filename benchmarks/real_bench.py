@@ -36,7 +36,7 @@ from onebend.lab.random_bench import (
 )
 from onebend.lab.virtual import VirtualBench, observe_virtual, true_stiffness, virtual_recording
 from onebend.learning.posterior import Posterior, fit, stiffness_of
-from onebend.records import GAIN_SD, Array
+from onebend.records import Array
 
 IN_POSES = tuple(name for name in EFFECTS if name not in OF_THE_PICTURE)
 CELLS = ("all", "small", *(f"only {name}" for name in IN_POSES), "none")
@@ -53,7 +53,6 @@ SMALL = replace(
     posture=Chance(0.5, 0.002, 0.02),
 )
 PLACES = 60
-PLACEMENT_SD = 5e-4  # m, of tags by hand
 LOST = 0.85  # a run of which less is inside the 95 % band and that is trusted is counted
 WIDTHS = (0.0, 0.02, 0.03, 0.05, np.inf)  # of the sd of log k, that runs are sorted by
 ROOT = Path(__file__).parents[1]
@@ -88,17 +87,12 @@ def ranges_of(cell: str) -> EffectRanges:
 
 
 def bench_of(cell: str, seed: int) -> tuple[VirtualBench, bool]:
-    """A bench that stands its push, and whether its beam is smooth; those of one seed differ in their effects alone.
-
-    What is declared is what a `recording.toml` without a word on it says: effects are not known beforehand.
-    """
+    """A bench that stands its push, and whether its beam is smooth; those of one seed differ in their effects alone."""
     rng = np.random.default_rng([seed, 31])
     kind = ("smooth", "smooth", "smooth", "stepped", "joint")[seed % 5]
     chance = BenchRanges(kinds=(kind,), sensors=SENSORS, effects=ranges_of(cell))  # type: ignore[arg-type]
     bench = random_bench(rng, chance, name=f"{cell} {seed}").bench
-    stated = bench.declared
-    usual = replace(stated, rest="unknown", gain_sd=GAIN_SD, placement_sd=max(stated.placement_sd, PLACEMENT_SD))
-    return replace(bench, camera=CAMERA, declared=usual), kind == "smooth"
+    return replace(bench, camera=CAMERA), kind == "smooth"
 
 
 def run(cell: str, seed: int) -> Outcome:

@@ -95,6 +95,9 @@ class View:
     translation: Array  # (3,) m
     calibrated: bool  # False where focal length and lens were inferred from the tags themselves
     corner_sd: float  # px, one sd of a corner's coordinate, from the residuals
+    # (m, 11) how each tag, those of the base first, is unlike a square in the plane: its height over the plane [m], its
+    # slopes along its x and y axis [rad], and how far its corners are off, x and y of each [m]. Empty: like one.
+    lying: Array = field(default_factory=lambda: np.zeros((0, 11)))
 
 
 @dataclass(frozen=True)

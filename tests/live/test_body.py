@@ -13,8 +13,8 @@ from onebend.live.body import NOT_SEEN, BodyFrame, BodyTracker, curve_in
 from onebend.live.guidance import CaptureSettings, Stages
 from onebend.live.live import Live, LiveSettings
 from onebend.live.review import observed_in
-from onebend.recording.camera import project, to_plane
 from onebend.recording.entries import Recording
+from onebend.recording.plane import project, to_plane
 from onebend.recording.video import FilmFrame, Picture
 from onebend.records import Array
 from tests.live.disturbed import play

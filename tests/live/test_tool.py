@@ -9,8 +9,8 @@ import numpy as np
 
 from onebend.live.live import Live, LiveSettings, seen_by
 from onebend.live.review import Seen, observed_in
-from onebend.recording.camera import to_plane
 from onebend.recording.entries import PushEntry
+from onebend.recording.plane import to_plane
 from onebend.recording.video import Picture
 from onebend.records import Array
 from tests.live.disturbed import play

@@ -10,8 +10,8 @@ import numpy as np
 from pyapriltags import Detector
 from scipy.spatial.transform import Rotation
 
-from onebend.recording.camera import FACING, project, square, to_plane
 from onebend.recording.entries import BeamEntry, CameraEntry, Recording, TagEntry, TagsEntry, VideoEntry
+from onebend.recording.plane import FACING, project, square, to_plane
 from onebend.recording.video import FilmFrame
 from onebend.records import Array, Detections, View
 

@@ -21,7 +21,6 @@ from onebend.recording.beam_frame import (
     to_beam_frame,
     turned,
 )
-from onebend.recording.camera import project
 from onebend.recording.entries import (
     BeamEntry,
     ForceEntry,
@@ -33,6 +32,7 @@ from onebend.recording.entries import (
     VideoEntry,
 )
 from onebend.recording.observe import ObserveSettings, assemble
+from onebend.recording.plane import project
 from onebend.records import GAIN_SD, ForceLog, Observations, View
 from tests.made_up import LENGTH, MARKER_S, TAGS
 from tests.recording.pushed import Pushed

@@ -13,8 +13,9 @@ from scipy.spatial import cKDTree
 
 from onebend.errors import ObservationError
 from onebend.recording import flanks, outline
-from onebend.recording.camera import measure_markers, project, to_plane
+from onebend.recording.camera import measure_markers
 from onebend.recording.flanks import MEASURED, BodyPlace, Planes, Sight, Stations
+from onebend.recording.plane import project, to_plane
 from onebend.records import Array, BoolArray, Markers, OutlineTrack, View
 from tests.recording.filmed import HEIGHT, LENGTH, WIDTH, corners_of, detections, poses, recording, view
 

@@ -19,10 +19,10 @@ from onebend.beam.stiffness import Uniform
 from onebend.errors import ObservationError, OnebendError
 from onebend.learning.posterior import fit
 from onebend.learning.validation import validate
-from onebend.recording.camera import project
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe
 from onebend.recording.photos import level_view, photo_observations
+from onebend.recording.plane import project
 from onebend.recording.template import write_template
 from onebend.records import Array, View
 from onebend.report.figures import check_png

@@ -21,9 +21,10 @@ from onebend.control.reach_set import stability_margin
 from onebend.errors import ObservationError
 from onebend.live.history import FrameReader
 from onebend.recording.beam_frame import to_beam_frame
-from onebend.recording.camera import measure_markers, rotated
+from onebend.recording.camera import measure_markers
 from onebend.recording.entries import Recording
 from onebend.recording.force import to_beam
+from onebend.recording.plane import rotated
 from onebend.records import Array, Detections
 
 

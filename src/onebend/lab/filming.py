@@ -29,9 +29,9 @@ from onebend.lab.bench import PushProfile, RealBench, log_of, rest_curvature, sm
 from onebend.lab.rod import RodMotion
 from onebend.progress import Progress, Silent, one_blas_thread, track
 from onebend.recording.bag_topics import BAG_KEYS
-from onebend.recording.camera import project
 from onebend.recording.entries import FAMILIES, BeamEntry, ForceEntry, GravityEntry, MarkersEntry, Recording
 from onebend.recording.folder import FILE_NAME, FORMAT
+from onebend.recording.plane import project
 from onebend.recording.schema import Key, keys_of
 from onebend.recording.tag_finder import printed_tag
 from onebend.records import Array, ForceLog, View

@@ -33,7 +33,7 @@ from onebend.learning.parameters import Spline
 from onebend.options import NOT_NEGATIVE, option
 from onebend.progress import Progress, Silent, one_blas_thread, track
 from onebend.recording.beam_frame import MOUNTING_SD
-from onebend.recording.camera import project
+from onebend.recording.plane import project
 from onebend.recording.signals import runs
 from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD, TURN_SD, Array, BoolArray, Rest
 from onebend.report.sentences import direction_words

@@ -18,7 +18,7 @@ from onebend.lab.rendering import Backdrop, Camera, Scene, check_name
 from onebend.lab.virtual import DeclaredValues, VirtualBench, VirtualClock, VirtualTag
 from onebend.options import NOT_NEGATIVE, POSITIVE, option
 from onebend.progress import one_blas_thread
-from onebend.records import Array
+from onebend.records import GAIN_SD, Array
 
 TIP = 0.97  # pushes further out slide and begin inwards only: there is no beam beyond the tip
 
@@ -78,7 +78,11 @@ def only(*names: str, ranges: EffectRanges = LABORATORY) -> EffectRanges:
 def with_random_effects(
     bench: VirtualBench, rng: np.random.Generator, ranges: EffectRanges = LABORATORY, *, tag_size: float = 0.012
 ) -> VirtualBench:
-    """`bench` with random effects. Each has a random stream of its own: removing one changes no other."""
+    """`bench` with random effects. Each has a random stream of its own: removing one changes no other.
+
+    Nobody knows the effects beforehand, so the bench states no closer tolerances than a recording.toml that is silent
+    on them.
+    """
     seed = int(rng.integers(2**32))
     streams = {name: np.random.default_rng([seed, i]) for i, name in enumerate(EFFECTS)}
     size = {name: drawn(streams[name], getattr(ranges, name), log=name in EVEN_IN_LOG) for name in EFFECTS}
@@ -118,7 +122,10 @@ def with_random_effects(
         for tag, away in zip(bench.tags, off, strict=True)
     )
     gain = bench.sensor.gain * (1.0 + size["gain"] * sign["gain"])
-    return replace(bench, effects=effects, tags=tags, sensor=replace(bench.sensor, gain=gain))
+    said, usual = bench.declared, DeclaredValues.placement_sd
+    gain_sd = bench.sensor.gain_sd if isnan(said.gain_sd) else said.gain_sd
+    said = replace(said, rest="unknown", gain_sd=max(gain_sd, GAIN_SD), placement_sd=max(said.placement_sd, usual))
+    return replace(bench, effects=effects, tags=tags, sensor=replace(bench.sensor, gain=gain), declared=said)
 
 
 def _is_slow(bench: VirtualBench) -> bool:

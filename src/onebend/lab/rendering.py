@@ -12,8 +12,8 @@ from scipy.ndimage import gaussian_filter, shift, zoom
 from scipy.spatial.transform import Rotation
 
 from onebend.errors import RecordingError
-from onebend.recording.camera import FACING, distort, project
 from onebend.recording.entries import CameraEntry
+from onebend.recording.plane import FACING, project
 from onebend.records import Array, View
 
 # Coverage of pixels by polygons: exact along rows, sampled finely across them. Every edge adds, in the lines it
@@ -380,15 +380,6 @@ def lifted(xy: Array, z: Array) -> Array:
     return np.concatenate([xy, z[..., None]], axis=-1) if np.any(z) else xy
 
 
-def pixels(view: View, points: Array) -> Array:
-    """Pixels (..., 2) of points (..., 2) or (..., 3) [m]."""
-    if points.shape[-1] == 2:
-        return project(view, points)
-    inside = points @ view.rotation.T + view.translation
-    ray = inside[..., :2] / inside[..., 2:]
-    return np.asarray(distort(ray, view.dist) @ view.matrix[:2, :2].T + view.matrix[:2, 2])
-
-
 def rolled(at: Array, rows: int) -> Array:
     """Pixels (..., 2) of things seen at `at` (3, ..., 2) as the first, middle and last row is exposed.
 
@@ -467,10 +458,10 @@ def stage(scene: Scene, view: View, size: tuple[int, int], still: Drawing, movin
 
 def seen_at(view: View, thing: ColourLayer | Shadow, drawing: Drawing) -> Array:
     """Pixels (..., corners, 2)."""
-    first = pixels(view, thing.loops)
+    first = project(view, thing.loops)
     if not thing.late and not np.any(drawing.shift):
         return first
-    later = [pixels(view, loops) for loops in thing.late] or [first, first]
+    later = [project(view, loops) for loops in thing.late] or [first, first]
     shift = drawing.shift.reshape(3, *[1] * (first.ndim - 1), 2)
     return rolled(np.stack([first, *later]) + shift, drawing.rows)
 

@@ -17,7 +17,7 @@ from onebend.beam.setup import MOST_REACHED, posture_terms
 from onebend.beam.stiffness import Profile, RectangularSection, Uniform
 from onebend.errors import LearningError
 from onebend.learning.frames import push_places
-from onebend.recording.camera import camera_place
+from onebend.recording.plane import HEIGHT_SD, camera_place
 from onebend.records import Array, BoolArray, Observations, PointMass, View, tags_among
 
 # Where an allowance enters the model, and what its `basis` is there. F frames, Q nodes, m tags, n parameters:
@@ -455,48 +455,25 @@ def patches(course: PushCourse) -> Allowance | None:
     return Allowance("patches", "log k", "1", labels, sd, basis, shared=True, within=POSITIVE, sizes=_GLUED)
 
 
-# Camera: its model puts every tag in one plane. A tag at height z over the plane appears too far from the camera's
-# foot, by `z / D` times its distance from there, D being the camera's height. Errors of the plane, focal length and
-# lens move all tags of all frames together.
+# Camera: a point at height z over the tags' plane appears too far from the camera's foot, by `z / D` times its distance
+# from there, D being the camera's height. Errors of the plane, of the tags' heights, of focal length and lens move all
+# poses of all frames together.
 
-HEIGHT_SD = 2e-3  # m, of each tag over the plane of all
 READOUT_SD = 0.015  # s, from the picture's first row to its last
 _STEP = 1e-4  # m, to either side of a place, for the slope of a row
 _SMALL = np.finfo(float).tiny
 
 
-def heights(observations: Observations, measured: Array) -> Allowance:
-    """Each tag's own height [m]; an outline lies as high as the tags beside it, and without tags as high as two numbers
-    say, at the clamp and at the tip. `measured` (F, m, 3) poses."""
-    o, tags = observations, tags_among(observations)
-    labels = [f"height of tag {i}" for i in o.tag_id[tags]]
-    functions = np.eye(len(tags))[:, tags]
-    if not labels:
-        labels, functions = list(_OUTLINE_HEIGHTS), _from_clamp_to_tip(o)
-    elif not tags.all():  # then all stand in the order of their places
-        functions = np.stack([np.interp(o.marker_s, o.marker_s[tags], one) for one in np.eye(len(labels))], axis=1)
-    basis = _lifted(o, measured, functions)
-    free = Allowance("heights", "poses", "m", tuple(labels), np.full(len(labels), HEIGHT_SD), basis, shared=True)
-    return replace(free, sizes=TOLERATED, together=True)
-
-
-_OUTLINE_HEIGHTS = ("height of the outline at the clamp", "height of the outline at the tip")
-
-
-def outline_height(course: PushCourse) -> Allowance | None:
-    """Of an outline over the tags [m], at the clamp and at the tip: that of a round body lies below them."""
-    film = course.film
-    if film is None or course.on_body.all() or not course.tags or film.observations.source.view is None:
+def outline_height(observations: Observations, measured: Array) -> Allowance | None:
+    """Of an outline [m], at the clamp and at the tip: over the tags beside it, for that of a round body lies below, or
+    over the plane of the base. `measured` (F, m, 3) poses. None without an outline in a film."""
+    s, tags = observations.marker_s, tags_among(observations)
+    if tags.all() or observations.source.view is None:
         return None
-    basis = _lifted(film.observations, film.measured, _from_clamp_to_tip(film.observations))
-    sd = np.full(len(_OUTLINE_HEIGHTS), HEIGHT_SD)
-    return Allowance("outline height", "poses", "m", _OUTLINE_HEIGHTS, sd, basis, shared=True, sizes=RARE)
-
-
-def _from_clamp_to_tip(observations: Observations) -> Array:
-    """(m, 2) of an outline's points, each rising in proportion from one end; zero of tags."""
-    s = observations.marker_s
-    return np.asarray(np.column_stack([1.0 - s, s]) * ~tags_among(observations)[:, None])
+    basis = _lifted(observations, measured, np.column_stack([1.0 - s, s]) * ~tags[:, None])
+    labels, sd = ("height of the outline at the clamp", "height of the outline at the tip"), np.full(2, HEIGHT_SD)
+    free = Allowance("outline height", "poses", "m", labels, sd, basis, shared=True, sizes=RARE)
+    return free if tags.any() else replace(free, sizes=TOLERATED, together=True)
 
 
 def _lifted(observations: Observations, measured: Array, functions: Array) -> Array:
@@ -737,24 +714,24 @@ def section_at(change: float, stated: float, beam_length: float) -> tuple[Rectan
     return RectangularSection(usual, share=share), 0.5 / share
 
 
-def _of_film(of: Callable[[Film], Allowance], known: Callable[[Observations], bool]) -> Callable[..., Allowance | None]:
-    """An allowance of the film of a course, where what it needs of the camera is known."""
-
-    def allowance(course: PushCourse) -> Allowance | None:
-        film = course.film
-        return of(film) if film is not None and known(film.observations) else None
-
-    return allowance
+def _of_film(of: Callable[[Film], Allowance | None]) -> Callable[[PushCourse], Allowance | None]:
+    """An allowance of the film of a course."""
+    return lambda course: None if course.film is None else of(course.film)
 
 
-_heights = _of_film(lambda film: heights(film.observations, film.measured), lambda o: o.source.view is not None)
-_rows = _of_film(  # the picture's rows are known
-    lambda film: rolling_shutter(film.observations, film.frames, len(film.measured)),
-    lambda o: o.source.view is not None and bool(o.source.view.matrix[1, 2] > 0.0),
-)
-_camera = _of_film(
-    lambda film: camera(film.observations, film.frames, len(film.measured)), lambda o: o.by_camera is not None
-)
+def _height(film: Film) -> Allowance | None:
+    return outline_height(film.observations, film.measured)
+
+
+def _rows(film: Film) -> Allowance | None:
+    view = film.observations.source.view
+    known = view is not None and bool(view.matrix[1, 2] > 0.0)  # the picture's rows
+    return rolling_shutter(film.observations, film.frames, len(film.measured)) if known else None
+
+
+def _camera(film: Film) -> Allowance | None:
+    o = film.observations
+    return None if o.by_camera is None else camera(o, film.frames, len(film.measured))
 
 
 @dataclass(frozen=True)
@@ -780,10 +757,9 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(
         "slide": Effect("sliding contact", sliding),
         "rub": Effect("friction of the tool", rubbing, live=False),
         "posture": Effect("posture-dependent bias", posture_bias),
-        "heights": Effect("camera", _heights, live=False),
-        "outline height": Effect("outline", outline_height, live=False),
-        "rolling shutter": Effect("camera", _rows, live=False),
-        "camera": Effect("camera", _camera, live=False),
+        "outline height": Effect("outline", _of_film(_height), live=False),
+        "rolling shutter": Effect("camera", _of_film(_rows), live=False),
+        "camera": Effect("camera", _of_film(_camera), live=False),
         "inertia": Effect("inertia", unknown_mass, live=False),
         "gravity direction": Effect("direction of gravity", gravity_direction, live=False),
     }

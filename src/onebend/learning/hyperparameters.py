@@ -7,10 +7,11 @@ cubature of degree three. The sizes in the prior of log k are drawn from their p
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import product
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -26,6 +27,7 @@ from onebend.learning.linear import (
     ResidualRows,
     Solved,
     coupled,
+    eliminated,
     explained_by,
     force_shrinkage,
     marginal,
@@ -82,14 +84,20 @@ class Evidence:
 
     def stiffness_form(self, posterior: Solved, weight: float = 1.0) -> InformationForm:
         """Likelihood of log k, all else integrated out at the hyperparameters of a posterior."""
-        layout, before = self.problem.layout, posterior.before
-        mean, p = before.mean[before.parts[0]], np.arange(layout.spline.count)
-        return replace(marginal(posterior.left, mean, before.roots[0], p), weight=weight)
+        p, before = self.problem.layout.spline.count, posterior.before
+        others = np.arange(p, before.parts[0].stop)
+        left = eliminated(posterior.left, before.mean[others], before.roots[0].take(others), p).left
+        return replace(left, weight=weight)
 
     def hyperparameters_at(self, start: Hyperparameters, z: Array) -> Hyperparameters:
         """Sizes of the force error z (d,) sd from what was expected, all else as at `start`."""
-        logs = np.log(self._sizes(self.problem.expected)) + self.spread * np.clip(z, -_FARTHEST, _FARTHEST)
-        return replace(start, **dict(zip(CHOSEN, np.exp(logs).tolist(), strict=False)))
+        sizes: dict[str, Any] = dict(zip(CHOSEN, self._sizes_at(start, z), strict=True))
+        return replace(start, **sizes)
+
+    def _sizes_at(self, start: Hyperparameters, z: Array) -> tuple[float, ...]:
+        """In the order of `CHOSEN`."""
+        sizes = self._expected * np.exp(self.spread * np.clip(z, -_FARTHEST, _FARTHEST))
+        return *sizes.tolist(), *start.of_force[len(z) :]
 
     def cost(self, start: Hyperparameters) -> Callable[[Array], float]:
         """Minus log posterior of z. All but the force's error and the shared parameters is integrated out once; of many
@@ -101,8 +109,7 @@ class Evidence:
         errors = [r.error if len(mine) else None for r, mine in zip(problem.recordings, own, strict=True)]
 
         def of(z: Array) -> float:
-            sizes = self.hyperparameters_at(start, z)
-            roots = each(partial(_error_root, sizes=sizes), errors)
+            roots = each(partial(_error_root, sizes=self._sizes_at(start, z)), errors)
             try:
                 log_evidence = solved(data, replace(some, roots=(some.roots[0], *roots))).log_evidence
             except np.linalg.LinAlgError:
@@ -121,18 +128,21 @@ class Evidence:
 
     def place(self, hyperparameters: Hyperparameters) -> Array:
         """(d,) sd of the force error's sizes from what was expected."""
-        return np.asarray(np.log(self._sizes(hyperparameters) / self._sizes(self.problem.expected)) / self.spread)
+        sizes = np.array(hyperparameters.of_force[: len(self.spread)])
+        return np.asarray(np.log(sizes / self._expected) / self.spread)
 
-    def _sizes(self, hyperparameters: Hyperparameters) -> Array:
-        return np.array(hyperparameters.of_force[: len(self.spread)])
+    @cached_property
+    def _expected(self) -> Array:
+        """(d,)."""
+        return np.array(self.problem.expected.of_force[: len(self.spread)])
 
 
-def _error_root(error: ForceError | None, sizes: Hyperparameters) -> BlockRoot:
+def _error_root(error: ForceError | None, sizes: tuple[float, ...]) -> BlockRoot:
     if error is None:
         return BlockRoot(np.zeros(0))
-    of_axis = error.root(*sizes.of_force)
+    of_axis = error.root(*sizes)
     count = 2 * len(of_axis)
-    return BlockRoot(np.ones(count), tuple((np.arange(axis, count, 2), of_axis) for axis in range(2)))
+    return BlockRoot(np.ones(count), tuple((slice(axis, count, 2), of_axis) for axis in range(2)))
 
 
 def choose_hyperparameters(evidence: Evidence, start: Hyperparameters) -> Hyperparameters:
@@ -163,33 +173,51 @@ def with_stiffness_prior(evidence: Evidence, hyperparameters: Hyperparameters) -
     return replace(hyperparameters, part_variances=variances, chains=chains)
 
 
+def at_nodes(
+    evidence: Evidence, hyperparameters: Hyperparameters, sizes: Sequence[Sizes]
+) -> Iterator[tuple[Solved, float]]:
+    """Posteriors at the nodes of a cubature over the hyperparameters, and their weights, which sum to one; `sizes` are
+    equally probable."""
+    nodes, weights = _cubature(evidence, hyperparameters)
+    for (share, node), one_size in product(zip(weights.tolist(), nodes, strict=True), sizes):
+        yield evidence.posterior(replace(node, sizes=one_size)), share / len(sizes)
+
+
+def averaged_stiffness(
+    evidence: Evidence, nodes: Iterable[tuple[Solved, float]], draws: Draws, chains: Array | None = None
+) -> StiffnessMixture:
+    """log k, averaged over the hyperparameters; `nodes` as of `at_nodes`, `chains` as of `Hyperparameters`."""
+    layout, p = evidence.problem.layout, evidence.problem.layout.spline.count
+    if layout.known is None and evidence.problem.stiffness is None:
+        forms = [evidence.stiffness_form(posterior, weight) for posterior, weight in nodes]
+        return stiffness_mixture(layout.spline, forms, evidence.problem.level, draws, chains)
+    normals = [(weight, one.mean[:p], one.of_shared[:p, :p]) for one, weight in nodes]
+    weights, means, spreads = (np.array(part) for part in zip(*normals, strict=True))
+    away = means - weights @ means
+    spread = np.tensordot(weights, spreads, 1) + (weights * away.T) @ away
+    return normal_mixture(weights @ means, 0.5 * (spread + spread.T))
+
+
 def averaged_posterior(
     evidence: Evidence, hyperparameters: Hyperparameters, sizes: Sequence[Sizes], draws: Draws = _AT_THE_END
 ) -> tuple[StiffnessMixture, JointCovariance]:
-    """log k and the covariance of all parameters, averaged over the hyperparameters; `sizes` are equally probable."""
-    nodes, weights = _cubature(evidence, hyperparameters)
+    """log k and the covariance of all parameters, averaged over the hyperparameters; `sizes` as of `at_nodes`."""
     layout, best = evidence.problem.layout, evidence.posterior(hyperparameters).mean
-    drawn = layout.known is None and evidence.problem.stiffness is None
     known = [layout.known_to(number) for number in range(len(evidence.problem.recordings))]
-    pairs, forms, mean = [in_own_pages(np.zeros((len(i), len(i)))) for i in known], [], np.zeros(len(best))
+    pairs = [in_own_pages(np.zeros((len(i), len(i)))) for i in known]
 
     def add(pair: Array, number: int, index: IntArray, posterior: Solved, weight: float) -> None:
         away = (posterior.mean - best)[index]
         pair += weight * (posterior.pair(number) + np.outer(away, away))
 
-    for (share, node), one_size in product(zip(weights.tolist(), nodes, strict=True), sizes):
-        posterior, weight = evidence.posterior(replace(node, sizes=one_size)), share / len(sizes)
-        if drawn:
-            forms.append(evidence.stiffness_form(posterior, weight))
-        mean += weight * posterior.mean
-        each(partial(add, posterior=posterior, weight=weight), pairs, range(len(known)), known)
-    if not drawn:
-        pairs = [0.5 * (pair + pair.T) for pair in pairs]
-        stiffness = normal_mixture(mean[: layout.spline.count], pairs[0])
-    else:
-        stiffness = stiffness_mixture(layout.spline, forms, evidence.problem.level, draws, hyperparameters.chains)
-        for pair in pairs:  # in its place: all of them take much memory
-            pair[:] = _with_stiffness(pair, stiffness.covariance)
+    def added() -> Iterator[tuple[Solved, float]]:  # one by one: all of them take much memory
+        for posterior, weight in at_nodes(evidence, hyperparameters, sizes):
+            each(partial(add, posterior=posterior, weight=weight), pairs, range(len(known)), known)
+            yield posterior, weight
+
+    stiffness = averaged_stiffness(evidence, added(), draws, hyperparameters.chains)
+    for pair in pairs:  # in its place, likewise
+        pair[:] = _with_stiffness(pair, stiffness.covariance)
     return stiffness, JointCovariance(layout.shared, tuple(pairs), layout.parts)
 
 

@@ -135,17 +135,17 @@ def prior(problem: FitProblem, hyperparameters: Hyperparameters, log_k: Array | 
     mean, sd = np.zeros(layout.size), np.ones(layout.size)
 
     def root_of(part: slice, inside: Sequence[Block]) -> BlockRoot:
-        blocks: list[tuple[IntArray, Array]] = []
+        blocks: list[tuple[slice, Array]] = []
         for block in inside:
-            where, index = block.where, np.arange(block.where.start, block.where.stop) - part.start
+            where, start, stop = block.where, block.where.start - part.start, block.where.stop - part.start
             if block.name == "stiffness":
                 level, root = problem.stiffness or (problem.level, layout.stiffness_root(h.part_variances))
-                blocks.append((index, root))
+                blocks.append((slice(start, stop), root))
                 mean[where] = level if log_k is None else log_k
             elif block.name == "force":  # x and y in turn, alike
                 error = problem.recordings[block.recording].error
                 mean[where], of_axis = error.mean.ravel(), error.root(*h.of_force)
-                blocks += [(index[axis::2], of_axis) for axis in range(2)]
+                blocks += [(slice(start + axis, stop, 2), of_axis) for axis in range(2)]
             elif is_shaped(block):
                 site = h.sites.get((block.name, block.recording))
                 mean[where], sd[where] = site or first_site(block, h.sizes.get(block.name, 1.0))
@@ -187,16 +187,6 @@ class JointInformation:
         count = self.parts[0].stop
         shared = np.sum([f.vector[:count] for f in self.forms], axis=0)
         return np.concatenate([shared, *(f.vector[count:] for f in self.forms)])
-
-    @property
-    def constant(self) -> float:
-        """c."""
-        return sum(f.constant for f in self.forms)
-
-    @property
-    def log_noise(self) -> float:
-        """Sum of the logs of the noise's sd."""
-        return sum(f.log_noise for f in self.forms)
 
     def times(self, x: Array) -> Array:
         """(P, ...) `H x`."""
@@ -310,19 +300,19 @@ class Solved:
         return self.before.times(self.solve(self.before.transposed_times(v)))
 
     @cached_property
-    def _of_shared(self) -> Array:
+    def of_shared(self) -> Array:
         """(n, n) covariance of the shared parameters."""
         half = solved_lower(self.factor, self.before.roots[0].dense().T)
         return half.T @ half
 
     def pair(self, number: int) -> Array:
         """(n, n) covariance of the shared parameters and one recording's own."""
-        return self.own[number].joint(self._of_shared)
+        return self.own[number].joint(self.of_shared)
 
     @property
     def covariance(self) -> JointCovariance:
         """Of the parameters."""
-        return JointCovariance(len(self._of_shared), _Pairs(self), self.before.parts)
+        return JointCovariance(len(self.of_shared), _Pairs(self), self.before.parts)
 
 
 class _Pairs(Sequence[Array]):

@@ -44,22 +44,17 @@ class BlockRoot:
     """(n, n) lower triangular L: diagonal but for some blocks."""
 
     sd: Array  # (n,) the diagonal; of no meaning where a block stands
-    blocks: tuple[tuple[IntArray, Array], ...] = ()  # which rows and columns, and (m, m) lower triangular
+    blocks: tuple[tuple[IntArray | slice, Array], ...] = ()  # which rows and columns, and (m, m) lower triangular
 
     @cached_property
     def unit(self) -> bool:
         """Whether L is the identity."""
         return not self.blocks and bool(np.all(self.sd == 1.0))
 
-    @cached_property
-    def _slices(self) -> list[tuple[IntArray | slice, Array]]:
-        """The blocks, their rows as slices where these are evenly spaced."""
-        return [(_rows(where), root) for where, root in self.blocks]
-
     def times(self, z: Array) -> Array:
         """(n, ...) `L z`."""
         out = (self.sd * z.T).T
-        for rows, root in self._slices:
+        for rows, root in self.blocks:
             out[rows] = root @ z[rows]
         return out
 
@@ -68,14 +63,14 @@ class BlockRoot:
         if self.unit:
             return v
         out = (self.sd * v.T).T
-        for rows, root in self._slices:
+        for rows, root in self.blocks:
             out[rows] = root.T @ v[rows]
         return out
 
     def solve(self, x: Array) -> Array:
         """(n, ...) `L^-1 x`."""
         out = np.array((x.T / self.sd).T)
-        for rows, root in self._slices:
+        for rows, root in self.blocks:
             out[rows] = solved_lower(root, x[rows])
         return out
 
@@ -90,7 +85,8 @@ class BlockRoot:
         """The root of some parameters (m,), of a block all or none."""
         place = np.full(len(self.sd), -1)
         place[index] = np.arange(len(index))
-        return BlockRoot(self.sd[index], tuple((place[i], root) for i, root in self.blocks if np.all(place[i] >= 0)))
+        blocks = ((place[rows], root) for rows, root in self.blocks)
+        return BlockRoot(self.sd[index], tuple((_rows(i), root) for i, root in blocks if np.all(i >= 0)))
 
     def dense(self) -> Array:
         """(n, n) L."""
@@ -112,7 +108,8 @@ def _rows(where: IntArray) -> IntArray | slice:
 
 def beside(first: BlockRoot, second: BlockRoot) -> BlockRoot:
     """The root of two independent groups of parameters together."""
-    later = tuple((index + len(first.sd), root) for index, root in second.blocks)
+    place = len(first.sd) + np.arange(len(second.sd))
+    later = tuple((_rows(place[rows]), root) for rows, root in second.blocks)
     return BlockRoot(np.concatenate([first.sd, second.sd]), (*first.blocks, *later))
 
 
@@ -385,15 +382,13 @@ class Target:
 
 def target_of(spline: Spline, forms: Sequence[InformationForm], level: float, each: int) -> Target:
     """Of log k around `level`, `each` chains for every form, by its directions with information."""
-    rows, seen, told = [], [], [1]
-    for form in forms:
-        e, u = np.linalg.eigh(form.matrix)
-        told.append(int(np.sum(e > _LEAST_INFORMATION)))
-        root = np.sqrt(np.maximum(e, _LEAST_INFORMATION))
-        rows.append(root[:, None] * u.T)
-        seen.append((u.T @ form.vector) / root - rows[-1] @ np.full(spline.count, level))
-    on_log_k, shown = (np.repeat(np.stack(one)[:, -max(told) :], each, axis=0) for one in (rows, seen))
-    return Target(spline, on_log_k, shown, np.repeat([t.weight for t in forms], each) / each)
+    e, u = np.linalg.eigh(np.stack([form.matrix for form in forms]))
+    root, turned = np.sqrt(np.maximum(e, _LEAST_INFORMATION)), np.swapaxes(u, 1, 2)
+    rows = root[..., None] * turned
+    seen = (turned @ np.stack([form.vector for form in forms])[..., None])[..., 0] / root - level * rows.sum(axis=-1)
+    told = max(int(np.max(np.sum(e > _LEAST_INFORMATION, axis=1))), 1)
+    on_log_k, shown = (np.repeat(one[:, -told:], each, axis=0) for one in (rows, seen))
+    return Target(spline, on_log_k, shown, np.repeat([form.weight for form in forms], each) / each)
 
 
 def _each(solver: Callable[..., Any], roots: Array, right: Array) -> Array:
@@ -439,7 +434,7 @@ def moments_of(target: Target, draws: Sequence[_Chains], shaped: bool) -> tuple[
     `shaped` means and sds (2, N, S) of the normals that the mixture is made of, at `SHAPE_PLACES`."""
     p = target.spline.count
     mean, second, marginals = np.zeros(p), np.zeros((p, p)), []
-    parts = np.zeros(target.weights.shape[1])
+    parts, variance = np.zeros((2, target.weights.shape[1]))
     basis = target.spline.basis(SHAPE_PLACES)  # (S, p)
     squares = (basis @ target.weights).T ** 2  # (n, S)
     for now in draws:
@@ -447,14 +442,15 @@ def moments_of(target: Target, draws: Sequence[_Chains], shaped: bool) -> tuple[
         means = of_parts @ target.weights.T
         away = _each(dtrtrs, now.root, (target.on_parts * now.variance[:, None]) @ target.weights.T)  # (B, r, p)
         weighted = np.sqrt(target.share)[:, None, None] * away
-        second += (target.weights * (target.share @ now.variance)) @ target.weights.T
         second += (means.T * target.share) @ means - np.tensordot(weighted, weighted, ((0, 1), (0, 1)))
         mean += target.share @ means
         parts += target.share @ of_parts
+        variance += target.share @ now.variance
         if not shaped:
             continue
         left = now.variance @ squares - np.sum((away @ basis.T) ** 2, axis=1)
         marginals.append(np.stack([means @ basis.T, np.sqrt(np.maximum(left, 0.0))]))
+    second += (target.weights * variance) @ target.weights.T
     mean, second, parts = mean / len(draws), second / len(draws), parts / len(draws)
     covariance = second - np.outer(mean, mean)
     normals = np.concatenate(marginals, axis=1) if shaped else None

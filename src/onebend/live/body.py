@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from onebend.errors import ObservationError
-from onebend.recording.camera import Poses, drop, measure_markers, points_in_plane, project
+from onebend.recording.camera import Poses, drop, measure_markers, points_in_plane
 from onebend.recording.entries import Recording
 from onebend.recording.flanks import MEASURED, SIDES, BodyPlace, Planes, Sight, planes_of
 from onebend.recording.outline import (
@@ -22,6 +22,7 @@ from onebend.recording.outline import (
     points_of,
     track_of,
 )
+from onebend.recording.plane import project
 from onebend.recording.signals import nan_mean
 from onebend.recording.tags import TrackedFrame, Tracker
 from onebend.recording.video import Picture
@@ -158,6 +159,7 @@ class PointReader:
     kept: IntArray  # (n,) which of `PLACES`
     covariance: Array  # (n, 3, 3) of a point in one frame
     traced: BoolArray  # (m,) which of tags and points together, in the order of their places, they are
+    height: Array  # (N,) m, of all places of an outline over the tags' plane
 
     def beside(self, tags: Poses, view: View, seen: OutlineSighting | None) -> Poses:
         """(1, m) the tags (1, m - n) and the points, in the order of their places."""
@@ -173,13 +175,13 @@ class PointReader:
         found = OutlineSearch(seen.state[None], seen.away[None])
         middle = centreline(found, stations, self.half, MEASURED / scale)
         track = points_of(middle, found, stations, self.place.view, seen.shift[None], scale)
-        poses = points_in_plane(view, track)
+        poses = points_in_plane(view, track, self.height)
         poses = drop(poses, ~np.isfinite(track.sd))
         return Poses(poses.xy[:, self.kept], poses.angle[:, self.kept], self.covariance[None])
 
 
-def point_reader(outline: SeenOutline, s: Array, covariance: Array, traced: BoolArray) -> PointReader:
+def point_reader(outline: SeenOutline, s: Array, covariance: Array, traced: BoolArray, height: Array) -> PointReader:
     """The reader of the `traced` (m,) ones among markers at `s` (m,), of these covariances (m, 3, 3) [m^2, rad^2]."""
     width, _ = body_width(outline.found.away, outline.half)
     kept = np.searchsorted(PLACES, s[traced] - 1e-9)
-    return PointReader(outline.place, 0.5 * width, kept, covariance[traced], traced)
+    return PointReader(outline.place, 0.5 * width, kept, covariance[traced], traced, height)

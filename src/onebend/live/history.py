@@ -16,9 +16,10 @@ import numpy as np
 from onebend.errors import ObservationError
 from onebend.live.body import BodyFrame, OutlineSighting, PointReader, SeenOutline, point_reader
 from onebend.live.replayed import LiveFrame
-from onebend.recording.camera import Poses, drop, measure_poses, part, relative_to, together
+from onebend.recording.camera import Poses, drop, height_along, measure_poses, part, relative_to, together
 from onebend.recording.entries import Recording
 from onebend.recording.force import to_beam
+from onebend.recording.outline import PLACES
 from onebend.recording.signals import LATEST, nan_median
 from onebend.recording.tags import BlockTracks, TrackedFrame
 from onebend.records import Array, Observations, View, read_before_fit
@@ -292,5 +293,11 @@ def reader_of(rec: Recording, seen: Observations, outline: SeenOutline | None = 
         largest=float(np.nanmax(away)) if np.isfinite(away).any() else 0.0,
         points=None
         if outline is None or seen.traced is None
-        else point_reader(outline, seen.marker_s, nan_median(seen.covariance), seen.traced),
+        else point_reader(
+            outline,
+            seen.marker_s,
+            nan_median(seen.covariance),
+            seen.traced,
+            height_along(view, rec.tags, PLACES),
+        ),
     )

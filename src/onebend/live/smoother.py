@@ -10,7 +10,7 @@ import numpy as np
 from onebend.beam.stiffness import Profile, UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.force_error import sized, spanned_error
-from onebend.learning.hyperparameters import CHOSEN, SPREAD, averaged_posterior, likeliest
+from onebend.learning.hyperparameters import CHOSEN, SPREAD, at_nodes, averaged_stiffness, likeliest
 from onebend.learning.linear import Hyperparameters, RecordingNoise
 from onebend.learning.normal import Draws
 from onebend.learning.optimizer import starting
@@ -331,7 +331,7 @@ class Smoother:
             sizes, evidence = self.hyperparameters, solution.model.evidence
             sizes = replace(sizes, chains=None if self._chains is None else self._chains.stand)
             of_others = replace(evidence, spread=evidence.spread[: len(SPREAD)])  # the white part keeps its size
-            stiffness, _ = averaged_posterior(of_others, sizes, [{}], _DRAWS)
+            stiffness = averaged_stiffness(of_others, at_nodes(of_others, sizes, [{}]), _DRAWS, sizes.chains)
             k, covariance, steps = stiffness.mean, stiffness.covariance, stiffness.steps
         x, covariance = solution.given_stiffness(k), solution.covariance(covariance)
         return *self._lineariser.secant(self.keys, self.point, x, covariance), steps

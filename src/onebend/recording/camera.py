@@ -8,206 +8,24 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import OptimizeResult, least_squares
-from scipy.spatial.transform import Rotation
 
 from onebend.errors import ObservationError, RecordingError
-from onebend.recording.entries import CameraEntry, Recording, TagEntry
+from onebend.recording.entries import CameraEntry, Recording, TagEntry, TagsEntry
+from onebend.recording.plane import (
+    DEGREES_OF_FREEDOM,
+    LYING_SD,
+    PlaneFit,
+    fit_plane,
+    lay_square,
+    lowered,
+    misshapen,
+    project_tags,
+    rotated,
+    to_plane,
+    view_of,
+)
 from onebend.recording.signals import running_median
 from onebend.records import POINT_ID, Array, BoolArray, Detections, Markers, OutlineTrack, Remark, View
-
-
-def project(view: View, xy: Array) -> Array:
-    """Pixels (..., 2) of points `xy` (..., 2) [m] of the plane."""
-    inside = xy @ view.rotation[:, :2].T + view.translation
-    ray = inside[..., :2] / inside[..., 2:]
-    return distort(ray, view.dist) @ view.matrix[:2, :2].T + view.matrix[:2, 2]
-
-
-def to_plane(view: View, px: Array) -> Array:
-    """Points (..., 2) [m] of the plane that are seen at pixels `px` (..., 2). NaN where no such point exists."""
-    ray = undistort((px - view.matrix[:2, 2]) @ np.linalg.inv(view.matrix[:2, :2]).T, view.dist)
-    direction = np.concatenate([ray, np.ones_like(ray[..., :1])], axis=-1) @ view.rotation  # in the plane's axes
-    origin = -view.translation @ view.rotation  # the camera, in the plane's axes
-    reach = -origin[2] / direction[..., 2:]
-    return np.where(reach > 0, origin[:2] + reach * direction[..., :2], np.nan)
-
-
-def distort(ray: Array, dist: Array) -> Array:
-    """What the lens does to a normalised image point (x/z, y/z): radial k1, k2, k3 and tangential p1, p2."""
-    k1, k2, p1, p2, k3 = dist
-    x, y = ray[..., 0], ray[..., 1]
-    square = x * x + y * y
-    radial = 1 + square * (k1 + square * (k2 + square * k3))
-    return np.stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x),
-            y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y,
-        ],
-        axis=-1,
-    )
-
-
-def undistort(distorted: Array, dist: Array) -> Array:
-    """The inverse of `distort`, by fixed-point iteration; NaN where it does not converge: the lens model folds over."""
-    ray = distorted
-    for _ in range(50):
-        error = distorted - distort(ray, dist)
-        # Of the normalised image, far below a thousandth of a pixel.
-        if not np.nanmax(np.abs(error), initial=0.0) > 1e-10:
-            return ray
-        ray = ray + error
-        ray = np.where(np.abs(ray) < 1e3, ray, np.nan)
-    return np.where(np.abs(distorted - distort(ray, dist)).max(axis=-1, keepdims=True) <= 1e-6, ray, np.nan)
-
-
-# The view of the tags' plane. For a trial camera and plane every sighting is projected into the plane, and a square of
-# the known size is fitted in closed form. The residuals are its corners' distances from the detected ones, px. Three
-# numbers (tilt, tilt, distance) are fitted; seven without calibration (focal length, one lens term, principal point).
-
-# The plane's axes when it faces the camera: x right, y up, z towards the camera.
-FACING: Array = np.diag([1.0, -1.0, -1.0])
-TILTS = (0.0, 0.6)  # rad, starts of the search, in each of four directions
-# Priors of the plane, and of a camera without calibration: one sd about the simplest value.
-TILT_SD = 0.5  # rad; it matters only where one tag alone leaves the tilt open
-PLAIN_FOCAL = 1.0  # focal length over the picture's longer side
-FOCAL_SD = 0.5  # of its logarithm
-LENS_SD = 0.1  # k1
-CENTRE_SD = 0.02  # principal point off the picture's middle, over the longer side
-NORMAL_MEDIAN = 0.67449  # median of |x|, x normal with unit variance
-DEGREES_OF_FREEDOM = 5  # a tag's eight coordinates less the three of its pose
-LEAST_NOISE, MOST_NOISE = 1e-6, 0.1  # of a corner: px, and in sides of a tag
-OUT_OF_SIGHT = 1e3  # px, residual of a corner that a trial camera cannot see
-
-
-@dataclass(frozen=True)
-class PlaneFit:
-    """The fitted unknowns and their covariance."""
-
-    unknowns: Array  # (3,) or (7,), see `view_from`
-    covariance: Array  # of the unknowns
-    camera: CameraEntry | None
-    picture: tuple[int, int]
-
-    @property
-    def view(self) -> View:
-        return view_from(self.unknowns, self.camera, self.picture)
-
-    def variations(self) -> list[View]:
-        """Views one standard deviation away along each principal direction of the unknowns' uncertainty."""
-        variance, direction = np.linalg.eigh(self.covariance)
-        shifts = direction * np.sqrt(np.maximum(variance, 0.0))
-        return [view_from(self.unknowns + shift, self.camera, self.picture) for shift in shifts.T]
-
-
-def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: tuple[int, int]) -> PlaneFit:
-    """Camera and plane that make all sightings squares of the known size.
-
-    The frame has its origin on the optical axis and x towards the picture's right. `corners` (K, 4, 2) px are finite,
-    in the order of `records.Detections`; `size` [m] is the tags' side, `camera` None without calibration, `picture` px.
-    """
-    side_px = float(np.median(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)))
-    focal = camera.fx if camera else PLAIN_FOCAL * max(picture)
-    few = corners[:: max(1, len(corners) // 60)]  # sightings, evenly chosen, with which the starts are improved
-    tries = [
-        solve(start, few, size, camera, picture, sd=1.0)
-        for start in starts(math.log(focal * size / side_px), camera is None)
-    ]
-    best = min(tries, key=lambda fit: float(fit.cost))
-    rough = float(np.median(np.abs(best.fun[: few.size]))) / NORMAL_MEDIAN * math.sqrt(8 / DEGREES_OF_FREEDOM)
-    sd = max(rough, LEAST_NOISE)
-    final = solve(solve(best.x, few, size, camera, picture, sd=sd).x, corners, size, camera, picture, sd=sd)
-    normal = final.jac.T @ final.jac
-    known = np.linalg.cond(normal) < 1 / np.finfo(float).eps
-    fit = PlaneFit(final.x, np.linalg.inv(normal) if known else np.full_like(normal, np.nan), camera, picture)
-    if not known or not np.isfinite(to_plane(fit.view, corners)).all() or rough > MOST_NOISE * side_px:
-        raise ObservationError(
-            "No flat plane in front of the camera explains the tags' shapes. Check size_m and [camera] in "
-            "recording.toml, and that all tags lie flat in one plane.",
-            about="no plane",
-        )
-    return fit
-
-
-def starts(log_distance: float, uncalibrated: bool) -> list[Array]:
-    """First guesses: facing the camera, and tilted each way."""
-    none, tilt = TILTS
-    tilts = [(none, none), (tilt, none), (-tilt, none), (none, tilt), (none, -tilt)]
-    return [np.array([a, b, log_distance, *([0.0] * 4 if uncalibrated else [])]) for a, b in tilts]
-
-
-def solve(
-    start: Array, corners: Array, size: float, camera: CameraEntry | None, picture: tuple[int, int], *, sd: float
-) -> OptimizeResult:
-    """Robust least squares of `residuals` from `start`; `sd` is the corners' noise, px."""
-    return least_squares(
-        lambda unknowns: residuals(unknowns, corners, size, camera, picture, sd=sd),
-        start,
-        loss="soft_l1",
-        f_scale=3.0,  # sd: larger residuals have less weight (soft L1)
-        x_scale="jac",
-    )
-
-
-def residuals(
-    unknowns: Array, corners: Array, size: float, camera: CameraEntry | None, picture: tuple[int, int], *, sd: float
-) -> Array:
-    """Detected corners less those of the fitted squares, and the unknowns, each divided by its sd."""
-    view = view_from(unknowns, camera, picture)
-    flat = to_plane(view, corners)
-    xy, angle = lay_square(flat)
-    residual = (corners - project(view, square(xy, angle, size))) / sd
-    residual = np.nan_to_num(residual, nan=OUT_OF_SIGHT, posinf=OUT_OF_SIGHT, neginf=-OUT_OF_SIGHT)
-    wide = np.array([TILT_SD, TILT_SD, np.inf, FOCAL_SD, LENS_SD, CENTRE_SD, CENTRE_SD])
-    return np.concatenate([residual.ravel(), unknowns / wide[: len(unknowns)]])
-
-
-def view_from(unknowns: Array, camera: CameraEntry | None, picture: tuple[int, int]) -> View:
-    """The unknowns as a view: two tilts [rad], log distance [log m]; then, where the camera is not calibrated, log of
-    the focal length over its plain value, k1, and the principal point's shift over the longer side."""
-    tilt_x, tilt_y, log_distance = unknowns[:3]
-    if camera:
-        matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
-        dist = np.array([*camera.dist, 0.0][:5])
-    else:
-        log_focal, k1, shift_x, shift_y = unknowns[3:]
-        long, (width, height) = max(picture), picture
-        focal = PLAIN_FOCAL * long * math.exp(log_focal)
-        centre = (width - 1) / 2 + shift_x * long, (height - 1) / 2 + shift_y * long
-        matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1.0]])
-        dist = np.array([k1, 0.0, 0.0, 0.0, 0.0])
-    return View(
-        matrix=matrix,
-        dist=dist,
-        rotation=Rotation.from_rotvec([tilt_x, tilt_y, 0.0]).as_matrix() @ FACING,
-        translation=np.array([0.0, 0.0, math.exp(log_distance)]),
-        calibrated=camera is not None,
-        corner_sd=math.nan,
-    )
-
-
-def square(xy: Array, angle: Array, size: float) -> Array:
-    """Corners (..., 4, 2) [m] of tags at `xy` (..., 2) turned by `angle` (...)."""
-    half = size / 2
-    own = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
-    return rotated(own, angle[..., None]) + xy[..., None, :]
-
-
-def rotated(xy: Array, angle: Array) -> Array:
-    """Vectors `xy` (..., 2) turned counter-clockwise by `angle` (...) [rad]."""
-    cos, sin, x, y = np.cos(angle), np.sin(angle), xy[..., 0], xy[..., 1]
-    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
-
-
-def lay_square(flat: Array) -> tuple[Array, Array]:
-    """Place (..., 2) and angle (...) of the square nearest to corners `flat` (..., 4, 2), whatever its size."""
-    xy = flat.mean(axis=-2)
-    own = square(np.zeros(2), np.zeros(()), 1.0)
-    off = flat - xy[..., None, :]
-    dot = (off * own).sum(axis=(-2, -1))
-    cross = (own[:, 0] * off[..., 1] - own[:, 1] * off[..., 0]).sum(axis=-1)
-    return xy, np.arctan2(cross, dot)
-
 
 END_CORRELATION = -0.5  # of the errors at the two ends of a straight edge
 STEP = 1e-6  # m and rad, of the pose's numerical derivative
@@ -230,19 +48,25 @@ def part(poses: Poses, tags: slice) -> Poses:
 
 
 def measure_poses(
-    view: View, corners: Array, size: float, *, noise: float | None = None, refinements: int = 3
+    view: View,
+    corners: Array,
+    size: float,
+    *,
+    noise: float | None = None,
+    refinements: int = 3,
 ) -> tuple[Poses, Array, View]:
     """Pose of each sighting in the plane, its misfit (RMS residual, px), and the view with the corners' noise.
 
     The noise is that of the residuals, or `noise` [px, one sd]. Generalised least squares by Gauss-Newton on the eight
     coordinates of each tag; `corners` (T, m, 4, 2) px, NaN stays NaN."""
     xy, angle = lay_square(to_plane(view, corners))
+    lying = view.lying if len(view.lying) else np.zeros((corners.shape[-3], len(LYING_SD)))
     weight = corner_weight(corners)
     for _ in range(refinements):
-        jacobian, residual = linearise(view, xy, angle, corners, size)
+        jacobian, residual = linearise(view, xy, angle, corners, size, lying)
         step = weighted_step(jacobian, residual, weight)
         xy, angle = xy + step[..., :2], angle + step[..., 2]
-    jacobian, residual = linearise(view, xy, angle, corners, size)
+    jacobian, residual = linearise(view, xy, angle, corners, size, lying)
     squares = np.einsum("...i,...ij,...j->...", residual, weight, residual)
     sd = float(np.sqrt(np.nanmedian(squares) / MEDIAN_CHI2)) if noise is None else noise
     variance = np.maximum(squares / DEGREES_OF_FREEDOM, sd**2)
@@ -286,12 +110,12 @@ def corner_weight(corners: Array) -> Array:
     return np.asarray(np.linalg.inv(covariance))
 
 
-def linearise(view: View, xy: Array, angle: Array, corners: Array, size: float) -> tuple[Array, Array]:
+def linearise(view: View, xy: Array, angle: Array, corners: Array, size: float, lying: Array) -> tuple[Array, Array]:
     """Jacobian (..., 8, 3) of the projected corners by (x, y, angle), and the residual (..., 8) of `corners`, px."""
 
     def projected(dx: float = 0.0, dy: float = 0.0, turn: float = 0.0) -> Array:
-        flat = project(view, square(xy + np.array([dx, dy]), angle + turn, size))
-        return flat.reshape(*flat.shape[:-2], 8)
+        seen = project_tags(view, xy + np.array([dx, dy]), angle + turn, size, lying)
+        return seen.reshape(*seen.shape[:-2], 8)
 
     columns = [(projected(**{name: STEP}) - projected(**{name: -STEP})) / (2 * STEP) for name in ("dx", "dy", "turn")]
     return np.stack(columns, axis=-1), corners.reshape(*corners.shape[:-2], 8) - projected()
@@ -451,7 +275,7 @@ def measure_markers(detections: Detections, description: Recording, outline: Out
     poses, misfit, view = measure_poses(plane.view, detections.corners, tags.size)
     # sd: a tag whose corners are further (RMS) from any square in the plane is not used.
     # px, least noise of the corners for that test.
-    wrong = misfit > 10.0 * max(view.corner_sd, 0.02)
+    wrong = (misfit > 10.0 * max(view.corner_sd, 0.02)) | (misshapen(view) & np.isfinite(misfit))
     poses = drop(poses, wrong)
     poses = replace(poses, angle=poses.angle - np.array([tag.turn for tag in (*tags.on_base, *tags.on_beam)]))
     if not np.isfinite(poses.angle[:, :base]).any():
@@ -466,7 +290,8 @@ def measure_markers(detections: Detections, description: Recording, outline: Out
     first = int(np.flatnonzero(np.isfinite(origin.angle))[0])
     s, tag_id, traced = np.array([tag.s for tag in tags.on_beam]), detections.tag_id[base:], None
     if outline is not None:
-        points = relative_to(origin, points_in_plane(plane.view, outline))
+        height = height_along(view, description.tags, outline.s)
+        points = relative_to(origin, points_in_plane(view, outline, height))
         pairs = zip(_fields(relative), _fields(points), strict=True)
         relative = Poses(*(np.concatenate(both, axis=1) for both in pairs))
         traced = np.arange(len(s) + len(outline.s)) >= len(s)
@@ -488,7 +313,7 @@ def measure_markers(detections: Detections, description: Recording, outline: Out
             *motion_remarks(origin, moving, description.gravity is not None),
             *(() if outline is None else outline.remarks),
         ),
-        by_camera=by_camera(plane, detections.corners, base, outline)[:, order],
+        by_camera=by_camera(plane, detections.corners, description.tags, outline)[:, order],
         traced=None if traced is None else traced[order],
     )
 
@@ -497,13 +322,21 @@ def _fields(poses: Poses) -> tuple[Array, Array, Array]:
     return poses.xy, poses.angle, poses.covariance
 
 
-def points_in_plane(view: View, outline: OutlineTrack) -> Poses:
+def height_along(view: View, tags: TagsEntry, s: Array) -> Array:
+    """(n,) m over the plane, at places `s` (n,) of the body: as high as the tags beside; without tags on it in the
+    plane."""
+    on_beam = sorted(zip((tag.s for tag in tags.on_beam), view.lying[len(tags.on_base) :, 0].tolist(), strict=True))
+    return np.interp(s, *np.transpose(on_beam)) if on_beam else np.zeros(len(s))
+
+
+def points_in_plane(view: View, outline: OutlineTrack, height: Array | float = 0.0) -> Poses:
     """The outline's points (T, n), without a place where they were not seen: alike in all directions, as only what is
-    across the curve counts. Their angle is the curve's, no measurement of its own."""
+    across the curve counts. Their angle is the curve's, no measurement of its own. `height` (n,) m over the plane."""
     along = outline.ahead - outline.px
     length = np.linalg.norm(along, axis=-1, keepdims=True)
     across = np.stack([-along[..., 1], along[..., 0]], axis=-1) / length
-    xy, ahead, beside = (to_plane(view, px) for px in (outline.px, outline.ahead, outline.px + across))
+    seen_at = (outline.px, outline.ahead, outline.px + across)
+    xy, ahead, beside = (lowered(view, to_plane(view, px), height) for px in seen_at)
     sd = outline.sd * np.linalg.norm(beside - xy, axis=-1)
     turn = sd / np.linalg.norm(ahead - xy, axis=-1)
     covariance = np.stack([sd, sd, turn], axis=-1)[..., None] ** 2 * np.eye(3)
@@ -521,7 +354,7 @@ def check_picture(detections: Detections, camera: CameraEntry | None) -> None:
 
 
 def spread(corners: Array) -> Array:
-    """Sightings (K, 4, 2) of frames spread evenly over the tags' travel, in which a rest has a small weight."""
+    """Sightings (T, m, 4, 2) of frames spread evenly over the tags' travel, in which a rest has a small weight."""
     centre = corners.mean(axis=2)
     travel = np.nan_to_num(np.linalg.norm(np.diff(centre, axis=0), axis=-1)).sum(axis=1)
     # Of the mean travel per frame: a frame without travel counts as this.
@@ -530,20 +363,22 @@ def spread(corners: Array) -> Array:
         # Frames for the fit of the plane, spread evenly over the tags' travel.
         np.searchsorted(travelled, np.linspace(0, travelled[-1], min(150, len(travelled))))
     )
-    chosen = corners[frames].reshape(-1, 4, 2)
-    return chosen[np.isfinite(chosen).all(axis=(1, 2))]
+    return corners[frames]
 
 
-def by_camera(plane: PlaneFit, corners: Array, base: int, outline: OutlineTrack | None = None) -> Array:
+def by_camera(plane: PlaneFit, corners: Array, tags: TagsEntry, outline: OutlineTrack | None = None) -> Array:
     """(T, m, 3, n) m, m, rad: how the poses of the beam's tags, and then of the outline's points, relative to the first
-    base tag move with one sd of each of the n unknowns of the plane and, without a calibration, of the camera. A hidden
-    base counts as where it was seen nearest in time; zero for tags that were not seen."""
-    corners = np.concatenate([lasting_base(corners[:, :base]), corners[:, base:]], axis=1)
+    base tag move with one sd of each of the n unknowns of the plane, the tags' heights and, without a calibration, the
+    camera. A hidden base counts as where it was seen nearest in time; zero for tags that were not seen."""
+    base = len(tags.on_base)
+    first, shown = lasting_base(corners[:, :base])
+    corners, which = np.concatenate([shown, corners[:, base:]], axis=1), [first, *range(base, corners.shape[1])]
 
     def relative(view: View) -> Array:
         xy, angle = lay_square(to_plane(view, corners))
+        xy = lowered(view, xy, view.lying[which, 0])
         if outline is not None:
-            points = points_in_plane(view, outline)
+            points = points_in_plane(view, outline, height_along(view, tags, outline.s))
             xy, angle = np.concatenate([xy, points.xy], axis=1), np.concatenate([angle, points.angle], axis=1)
         none = np.zeros((*angle.shape, 3, 3))
         own = relative_to(Poses(xy[:, :1], angle[:, :1], none[:, :1]), Poses(xy[:, 1:], angle[:, 1:], none[:, 1:]))
@@ -555,8 +390,9 @@ def by_camera(plane: PlaneFit, corners: Array, base: int, outline: OutlineTrack 
     return np.nan_to_num(shifts)
 
 
-def lasting_base(corners: Array) -> Array:
-    """(T, 1, 4, 2) corners of the first base tag that is ever seen, in every frame, from those of all (T, b, 4, 2)."""
+def lasting_base(corners: Array) -> tuple[int, Array]:
+    """The first base tag that is ever seen, and its corners (T, 1, 4, 2) in every frame, from those of all
+    (T, b, 4, 2)."""
     visible = np.asarray(np.isfinite(corners).all(axis=(2, 3)))
     tag = int(np.argmax(visible.any(axis=0)))
     shown = np.flatnonzero(visible[:, tag])
@@ -564,7 +400,7 @@ def lasting_base(corners: Array) -> Array:
     after = np.clip(np.searchsorted(shown, frames), 0, len(shown) - 1)
     before = np.maximum(after - 1, 0)
     nearest = np.where(np.abs(shown[before] - frames) < np.abs(shown[after] - frames), shown[before], shown[after])
-    return np.asarray(corners[nearest, tag : tag + 1])
+    return tag, np.asarray(corners[nearest, tag : tag + 1])
 
 
 def check_lengths(xy: Array, rec: Recording) -> None:
@@ -614,19 +450,6 @@ def order_hint(xy: Array, rec: Recording) -> str:
         return ""
     said = ", ".join(map(str, stand))
     return f" From the base on they stand in the order {said}, by their s in the order {', '.join(map(str, written))}."
-
-
-def camera_place(view: View) -> tuple[Array, float]:
-    """(2,) m foot of the camera in the plane of the tags, and its distance from the plane [m]."""
-    place = -view.rotation.T @ view.translation
-    return np.asarray(place[:2]), float(abs(place[2]))
-
-
-def view_of(view: View, origin: Array, angle: float) -> View:
-    """The same view, of a frame of the plane with its origin at `origin` (2,) [m] and turned by `angle`."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    return replace(view, rotation=view.rotation @ turn, translation=view.rotation[:, :2] @ origin + view.translation)
 
 
 def wrong_remarks(detections: Detections, wrong: BoolArray) -> list[Remark]:

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onebend.errors import ObservationError
-from onebend.recording.camera import project
 from onebend.recording.entries import Recording
+from onebend.recording.plane import project
 from onebend.recording.signals import MAD_TO_SD, nan_mean, nan_median, running_median
 from onebend.recording.video import picture_in, upright
 from onebend.records import Array, BoolArray, IntArray, View

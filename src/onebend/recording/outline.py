@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, track
-from onebend.recording.camera import measure_markers, project
+from onebend.recording.camera import measure_markers
 from onebend.recording.entries import Recording
 from onebend.recording.flanks import (
     LEAST,
@@ -45,6 +45,7 @@ from onebend.recording.flanks import (
     scale_of,
     sides_of,
 )
+from onebend.recording.plane import project
 from onebend.recording.signals import MAD_TO_SD, correlation_time, nan_mean, nan_median, running_median
 from onebend.recording.tags import in_order
 from onebend.recording.video import KeptFrames, timed

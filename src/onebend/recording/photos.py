@@ -19,7 +19,7 @@ from scipy.interpolate import PchipInterpolator
 from onebend.errors import ObservationError, RecordingError
 from onebend.progress import Progress, Silent, track
 from onebend.recording.beam_frame import MOUNTING_SD, to_beam_frame
-from onebend.recording.camera import lay_square, measure_markers, points_in_plane, project, to_plane, view_of
+from onebend.recording.camera import measure_markers, points_in_plane
 from onebend.recording.entries import Recording
 from onebend.recording.flanks import (
     MEASURED,
@@ -39,6 +39,7 @@ from onebend.recording.flanks import (
     refined,
 )
 from onebend.recording.outline import PLACES, POINTS, STATION, OutlineSearch, centreline, points_of, refuse_lost
+from onebend.recording.plane import lay_square, project, to_plane, view_of
 from onebend.recording.poses import ERROR_LENGTH, GUESSED_SD, PoseLoads, PosePoints, read_loads, static
 from onebend.recording.signals import nan_median
 from onebend.recording.tables import read_columns

@@ -15,8 +15,8 @@ import numpy as np
 
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, available_cores, track
-from onebend.recording.camera import rotated
 from onebend.recording.entries import FAMILIES, TagsEntry, VideoEntry
+from onebend.recording.plane import rotated
 from onebend.recording.signals import copies_in_motion, runs
 from onebend.recording.tag_finder import (
     MOST_SHIFT,

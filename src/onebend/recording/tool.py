@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import binary_closing, map_coordinates, uniform_filter
 
-from onebend.recording.camera import camera_place, project
 from onebend.recording.entries import Recording
+from onebend.recording.plane import camera_place, project
 from onebend.recording.signals import MAD_TO_SD, from_clamp
 from onebend.recording.tool_edges import ToolStrip, contacts
 from onebend.recording.video import KeptFrames, Picture, pictures_at

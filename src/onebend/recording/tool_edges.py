@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, map_coordinates
 
-from onebend.recording.camera import project
+from onebend.recording.plane import project
 from onebend.records import Array, BoolArray, View
 
 STEP = 0.5  # px, of the samples

@@ -13,10 +13,11 @@ from scipy.interpolate import make_interp_spline
 
 from onebend.errors import ObservationError, RecordingError
 from onebend.recording import signals
-from onebend.recording.camera import MOVED, RUNNING, lengths_apart, order_hint, rotated, unwrap
+from onebend.recording.camera import MOVED, RUNNING, lengths_apart, order_hint, unwrap
 from onebend.recording.entries import FrequencyEntry, GravityEntry, Recording
 from onebend.recording.force import ContactSettings, find_contact
 from onebend.recording.outline import PLACES, POINTS
+from onebend.recording.plane import rotated
 from onebend.recording.stated import stated_in
 from onebend.recording.tables import Columns, read_columns, read_every_column
 from onebend.records import (

@@ -23,9 +23,9 @@ from onebend.learning.run import Run
 from onebend.learning.validation import solved_frames
 from onebend.learning.verdict import explained
 from onebend.progress import Progress, Silent
-from onebend.recording.camera import project
 from onebend.recording.entries import Recording
 from onebend.recording.photos import read_photo
+from onebend.recording.plane import project
 from onebend.recording.preview import Preview, bent
 from onebend.recording.signals import runs
 from onebend.recording.video import KeptFrames, roundest

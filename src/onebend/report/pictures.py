@@ -20,8 +20,8 @@ from onebend.errors import MechanicsError, OnebendError
 from onebend.learning.outcome import Explained
 from onebend.learning.validation import solved_frames
 from onebend.progress import Progress, Silent, track
-from onebend.recording.camera import project
 from onebend.recording.entries import VideoEntry
+from onebend.recording.plane import project
 from onebend.recording.video import KeptFrames, roundest
 from onebend.records import Array, IntArray, Observations, View
 from onebend.text_files import one_line

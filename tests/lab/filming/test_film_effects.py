@@ -16,9 +16,10 @@ from onebend.cli import app
 from onebend.errors import RecordingError
 from onebend.lab.bench import RealBench
 from onebend.lab.filming import Filming, camera_motion, droop, film, followed, moments_at
-from onebend.lab.rendering import pixels, placed_in_space, rolled
+from onebend.lab.rendering import placed_in_space, rolled
 from onebend.lab.virtual import true_stiffness
 from onebend.recording.folder import read_recording
+from onebend.recording.plane import project
 from onebend.recording.tags import detect_tags
 from onebend.records import Array, View
 from onebend.text_files import plain
@@ -49,7 +50,7 @@ def expected_corners(filming: Filming, folder: Path, tags: Array) -> Array:
     """(T, m, 4, 2) px of tags (T, m, 6) by a camera that stands still."""
     faces = [[placed_in_space(filming.tag_size * SQUARE, tag) for tag in moment] for moment in tags]
     in_space = [[np.pad(face, ((0, 0), (0, 3 - face.shape[1]))) for face in row] for row in faces]
-    return pixels(view_of(folder), np.array(in_space))
+    return project(view_of(folder), np.array(in_space))
 
 
 def found_corners(folder: Path) -> Array:

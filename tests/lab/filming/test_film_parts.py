@@ -17,7 +17,7 @@ from onebend.lab.filming import PLACES, as_printed, between_places, outlines, pl
 from onebend.lab.random_bench import FilmRequest, filming_of, random_bench, random_tags
 from onebend.lab.rendering import LINES, Camera, PixelBox, all_seen, box_around, coverage, view_from
 from onebend.lab.virtual import VirtualBench, VirtualTag, tag_places, tag_poses
-from onebend.recording.camera import project, to_plane
+from onebend.recording.plane import project, to_plane
 from onebend.recording.tag_finder import Finder
 
 BOX = PixelBox(0, 0, 40, 30)

@@ -173,7 +173,6 @@ def test_tracks_have_no_allowances_of_a_camera() -> None:
     tracked = replace(MADE.source, view=None)
     assert OF_ONE - chosen(source=tracked) == {
         *WEIGHING,
-        "heights",
         "outline",
         "outline height",
         "light",

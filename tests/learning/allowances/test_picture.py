@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.learning.allowances import camera as camera_unknowns, heights, rolling_shutter
-from onebend.recording.camera import camera_place
+from onebend.learning.allowances import camera as camera_unknowns, outline_height, rolling_shutter
+from onebend.recording.plane import camera_place, lowered as lower
 from onebend.records import Array, Observations, View
 from tests.learning.allowances.allowed_bench import CAMERA, filmed
 from tests.made_up import with_source
@@ -81,13 +81,17 @@ def test_the_camera_stands_where_it_was_put() -> None:
 
 
 @CAMERAS
-def test_a_tag_over_the_plane_seems_farther_from_the_cameras_foot(camera: View) -> None:
-    made = with_source(filmed(), view=camera)
-    poses, basis, h = poses_of(made), heights(made, poses_of(made)).basis, 1e-4
-    for tag in range(3):
-        moved = seen_by(camera, poses[:, tag], lambda xy: np.full(xy.shape[:-1], h)) - poses[:, tag]
-        np.testing.assert_allclose(h * basis[:, tag, :, tag], moved, atol=1e-3 * np.max(np.abs(moved)))
-        assert np.all(basis[:, tag, :, np.arange(3) != tag] == 0.0)
+def test_a_point_over_the_plane_seems_farther_from_the_cameras_foot(camera: View) -> None:
+    made = replace(with_source(filmed(), view=camera), traced=np.array([True, False, True]))
+    poses, h = poses_of(made), 1e-4
+    free = outline_height(made, poses)
+    assert free is not None
+    for point in (0, 2):
+        moved = seen_by(camera, poses[:, point], lambda xy: np.full(xy.shape[:-1], h)) - poses[:, point]
+        np.testing.assert_allclose(h * free.basis[:, point].sum(axis=-1), moved, atol=1e-3 * np.max(np.abs(moved)))
+        lowered = poses[:, point, :2] - h * (poses[:, point, :2] - camera_place(camera)[0]) / camera_place(camera)[1]
+        np.testing.assert_allclose(lower(camera, poses[:, point, :2], h), lowered)
+    assert np.all(free.basis[:, 1] == 0.0)
 
 
 def at_rest_first(made: Observations) -> Observations:
@@ -125,13 +129,15 @@ def test_without_rest_the_base_tag_gives_the_axis() -> None:
     np.testing.assert_allclose(one.basis, by_base)
 
 
-def test_a_tag_that_was_not_seen_is_not_moved() -> None:
-    made = filmed()
+def test_a_point_that_was_not_seen_is_not_moved() -> None:
+    made = replace(filmed(), traced=np.array([False, True, True]))
     poses = poses_of(made)
     poses[3, 1], poses[4, 2, 2] = np.nan, np.nan
-    one = heights(made, poses)
-    assert np.all(np.isfinite(one.basis))
-    assert np.all(one.basis[3, 1] == 0.0)
+    free = outline_height(made, poses)
+    assert free is not None
+    assert np.all(np.isfinite(free.basis))
+    assert np.all(free.basis[3, 1] == 0.0)
+    assert outline_height(filmed(), poses) is None
 
 
 @CAMERAS

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from onebend.recording.camera import measure_poses, project, square
+from onebend.recording.camera import measure_poses
+from onebend.recording.plane import project, square
 from tests.made_up import overhead_view
 
 SIZE, GRID = 0.012, 0.03  # m; px, one sd of a shift of a whole tag

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
-from onebend.recording.camera import to_plane
+from onebend.recording.plane import to_plane
 from onebend.recording.tool import ToolPlace, tool_place
 from onebend.records import Array, BoolArray, Markers
 from tests.recording.filmed import HEIGHT, LENGTH, SIZE, WIDTH, poses, view

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from onebend.recording.camera import to_plane
+from onebend.recording.plane import to_plane
 from onebend.recording.tool_edges import ToolStrip, contacts
 from onebend.records import Array
 from tests.recording.filmed import HEIGHT, LENGTH, WIDTH, view

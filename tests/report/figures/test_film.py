@@ -13,8 +13,8 @@ import pytest
 from PIL import Image
 
 from onebend.learning.verdict import explained
-from onebend.recording.camera import project
 from onebend.recording.entries import VideoEntry
+from onebend.recording.plane import project
 from onebend.recording.video import KeptFrames, pictures_at, read_frames
 from onebend.records import Observations
 from onebend.report import figures as drawing, pictures as film

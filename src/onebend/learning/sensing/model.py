@@ -18,7 +18,7 @@ from onebend.beam.problem import has_mass, make_problem, share_farther
 from onebend.beam.setup import SetUp
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
-from onebend.learning.allowances import Allowance, camera, heights
+from onebend.learning.allowances import Allowance, camera, outline_height
 from onebend.learning.fit_data import REST_MODES, FitData, fit_data, rested
 from onebend.learning.frames import at_frames, known_loads, whitening
 from onebend.learning.paper import solve_states
@@ -277,9 +277,10 @@ def same_tags(observations: Observations, setup: SetUp | None) -> bool:
 
 
 def _picture(o: Observations, seen: Array) -> tuple[Allowance, ...]:
-    """The unknowns of the camera, its plane and the tags' heights over it."""
+    """The unknowns of the camera, its plane, the tags' heights over it and the outline's."""
     out = [] if o.by_camera is None else [camera(o, np.ones(len(o.time), dtype=bool), len(seen))]
-    return (*out, *([] if o.source.view is None else [heights(o, seen)]))
+    height = outline_height(o, seen)
+    return (*out, *([] if height is None else [height]))
 
 
 def ways_of(stiffness: UncertainStiffness) -> Array:

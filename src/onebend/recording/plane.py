@@ -1,0 +1,303 @@
+"""The plane of the tags as a camera sees it: projection, and the fit of camera and plane to the tags' corners."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.spatial.transform import Rotation
+
+from onebend.errors import ObservationError
+from onebend.recording.entries import CameraEntry
+from onebend.records import Array, BoolArray, IntArray, View
+
+
+def project(view: View, points: Array) -> Array:
+    """Pixels (..., 2) of points (..., 2) [m] of the plane, or (..., 3) with their heights towards the camera."""
+    inside = points @ view.rotation[:, : points.shape[-1]].T + view.translation
+    ray = inside[..., :2] / inside[..., 2:]
+    return distort(ray, view.dist) @ view.matrix[:2, :2].T + view.matrix[:2, 2]
+
+
+def to_plane(view: View, px: Array) -> Array:
+    """Points (..., 2) [m] of the plane that are seen at pixels `px` (..., 2). NaN where no such point exists."""
+    ray = undistort((px - view.matrix[:2, 2]) @ np.linalg.inv(view.matrix[:2, :2]).T, view.dist)
+    direction = np.concatenate([ray, np.ones_like(ray[..., :1])], axis=-1) @ view.rotation  # in the plane's axes
+    origin = -view.translation @ view.rotation  # the camera, in the plane's axes
+    reach = -origin[2] / direction[..., 2:]
+    return np.where(reach > 0, origin[:2] + reach * direction[..., :2], np.nan)
+
+
+def distort(ray: Array, dist: Array) -> Array:
+    """What the lens does to a normalised image point (x/z, y/z): radial k1, k2, k3 and tangential p1, p2."""
+    k1, k2, p1, p2, k3 = dist
+    x, y = ray[..., 0], ray[..., 1]
+    square = x * x + y * y
+    radial = 1 + square * (k1 + square * (k2 + square * k3))
+    return np.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x),
+            y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y,
+        ],
+        axis=-1,
+    )
+
+
+def undistort(distorted: Array, dist: Array) -> Array:
+    """The inverse of `distort`, by fixed-point iteration; NaN where it does not converge: the lens model folds over."""
+    ray = distorted
+    for _ in range(50):
+        error = distorted - distort(ray, dist)
+        # Of the normalised image, far below a thousandth of a pixel.
+        if not np.nanmax(np.abs(error), initial=0.0) > 1e-10:
+            return ray
+        ray = ray + error
+        ray = np.where(np.abs(ray) < 1e3, ray, np.nan)
+    return np.where(np.abs(distorted - distort(ray, dist)).max(axis=-1, keepdims=True) <= 1e-6, ray, np.nan)
+
+
+def camera_place(view: View) -> tuple[Array, float]:
+    """(2,) m foot of the camera in the plane of the tags, and its distance from the plane [m]."""
+    place = -view.rotation.T @ view.translation
+    return np.asarray(place[:2]), float(abs(place[2]))
+
+
+def view_of(view: View, origin: Array, angle: float) -> View:
+    """The same view, of a frame of the plane with its origin at `origin` (2,) [m] and turned by `angle`."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return replace(view, rotation=view.rotation @ turn, translation=view.rotation[:, :2] @ origin + view.translation)
+
+
+# The view of the tags' plane. For a trial camera and plane every sighting is projected into the plane, and a square of
+# the known size is fitted in closed form. The residuals are its corners' distances from the detected ones, px. Three
+# numbers (tilt, tilt, distance) are fitted; seven without calibration (focal length, one lens term, principal point);
+# and eleven for each tag, for no real tag lies exactly in the plane or is printed exactly: height, two slopes, corners.
+
+# The plane's axes when it faces the camera: x right, y up, z towards the camera.
+FACING: Array = np.diag([1.0, -1.0, -1.0])
+TILTS = (0.0, 0.6)  # rad, starts of the search, in each of four directions
+# Priors of the plane, and of a camera without calibration: one sd about the simplest value.
+TILT_SD = 0.5  # rad; it matters only where one tag alone leaves the tilt open
+PLAIN_FOCAL = 1.0  # focal length over the picture's longer side
+FOCAL_SD = 0.5  # of its logarithm
+LENS_SD = 0.1  # k1
+CENTRE_SD = 0.02  # principal point off the picture's middle, over the longer side
+# Of each tag against the plane, one sd: glued to a body by hand.
+HEIGHT_SD = 2e-3  # m
+SLOPE_SD = 0.03  # rad, about each of its axes
+STEEPEST, MOST_OFF = 0.35, 10.0  # rad, and sd of a corner: tags that are farther off are no squares in a plane
+PRINT_SD = 2e-5  # m, of a corner: an edge is rounded to the printer's dots, of 0.04 to 0.08 mm
+LYING_SD: Array = np.array([HEIGHT_SD, SLOPE_SD, SLOPE_SD, *[PRINT_SD] * 8])
+NORMAL_MEDIAN = 0.67449  # median of |x|, x normal with unit variance
+DEGREES_OF_FREEDOM = 5  # a tag's eight coordinates less the three of its pose
+ROUGH = math.sqrt(8 / DEGREES_OF_FREEDOM) / NORMAL_MEDIAN  # sd of a corner over the median size of its residual
+# What no lens model holds distorts a tag by this share of its side, alike in a part of the picture: it does not average
+# out over the sightings there. A good calibration leaves 0.1 to 0.3 px in a picture of 1000 px.
+FIELD_ERROR = 5e-4
+ZONES = 12  # such parts, of all that the tags move through
+LEAST_NOISE, MOST_NOISE = 1e-6, 0.1  # of a corner: px, and in sides of a tag
+FARTHEST_LOG = 50.0  # a search that goes on beyond ends in no number
+OUT_OF_SIGHT = 1e3  # px, residual of a corner that a trial camera cannot see
+
+
+@dataclass(frozen=True)
+class PlaneFit:
+    """The fitted unknowns and their covariance."""
+
+    unknowns: Array  # (3 + 11 m,) or (7 + 11 m,), see `view_from`
+    covariance: Array  # of all
+    camera: CameraEntry | None
+    picture: tuple[int, int]
+
+    @property
+    def view(self) -> View:
+        return view_from(self.unknowns, self.camera, self.picture)
+
+    def variations(self) -> list[View]:
+        """Views one standard deviation away along each principal direction of the uncertainty of camera, plane and the
+        tags' heights."""
+        count = 3 if self.camera else 7
+        some = np.concatenate([np.arange(count), np.arange(count, len(self.unknowns), len(LYING_SD))])
+        variance, direction = np.linalg.eigh(self.covariance[np.ix_(some, some)])
+        shifts = np.zeros((len(some), len(self.unknowns)))
+        shifts[:, some] = (direction * np.sqrt(np.maximum(variance, 0.0))).T
+        return [view_from(self.unknowns + shift, self.camera, self.picture) for shift in shifts]
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """What plane and camera are fitted to: K sightings of tags."""
+
+    corners: Array  # (K, 4, 2) px
+    tag: IntArray  # (K,) which of the tags
+    size: float  # m
+    camera: CameraEntry | None
+    picture: tuple[int, int]  # px
+    sd: float  # px, noise of the corners
+
+    def every(self, step: int) -> Sightings:
+        return replace(self, corners=self.corners[::step], tag=self.tag[::step])
+
+
+def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: tuple[int, int]) -> PlaneFit:
+    """Camera and plane that make all sightings squares of the known size.
+
+    The frame has its origin on the optical axis and x towards the picture's right. `corners` (T, m, 4, 2) px are in the
+    order of `records.Detections`, NaN where a tag was not seen; `size` [m] is the tags' side, `camera` None without
+    calibration, `picture` px.
+    """
+    shown = np.isfinite(corners).all(axis=(2, 3))
+    seen = Sightings(corners[shown], np.nonzero(shown)[1], size, camera, picture, 1.0)
+    side_px = float(np.median(np.linalg.norm(np.roll(seen.corners, -1, axis=1) - seen.corners, axis=2)))
+    focal = camera.fx if camera else PLAIN_FOCAL * max(picture)
+    few = seen.every(max(1, len(seen.corners) // 60))
+    tries = [solve(start, few) for start in starts(math.log(focal * size / side_px), camera is None)]
+    found = min(tries, key=lambda fit: float(fit.cost))
+    start = np.append(found.x, np.zeros(corners.shape[1] * len(LYING_SD)))
+    for part in (few, seen):
+        rough = float(np.median(np.abs(found.fun[: few.corners.size]))) * few.sd * ROUGH
+        lasting = FIELD_ERROR * side_px * math.sqrt(len(part.corners) / ZONES)
+        few = replace(few, sd=math.hypot(max(rough, LEAST_NOISE), lasting))
+        found = solve(start, replace(part, sd=few.sd))
+        start = found.x
+    normal = found.jac.T @ found.jac
+    known = np.linalg.cond(normal) < 1 / np.finfo(float).eps
+    fit = PlaneFit(found.x, np.linalg.inv(normal) if known else np.full_like(normal, np.nan), camera, picture)
+    in_front = np.isfinite(to_plane(fit.view, seen.corners)).all()
+    if not known or not in_front or misshapen(fit.view).all() or rough > MOST_NOISE * side_px:
+        raise ObservationError(
+            "No flat plane in front of the camera explains the tags' shapes. Check size_m and [camera] in "
+            "recording.toml, and that all tags lie flat in one plane.",
+            about="no plane",
+        )
+    return fit
+
+
+def starts(log_distance: float, uncalibrated: bool) -> list[Array]:
+    """First guesses: facing the camera, and tilted each way."""
+    none, tilt = TILTS
+    tilts = [(none, none), (tilt, none), (-tilt, none), (none, tilt), (none, -tilt)]
+    return [np.array([a, b, log_distance, *([0.0] * 4 if uncalibrated else [])]) for a, b in tilts]
+
+
+def solve(start: Array, seen: Sightings) -> OptimizeResult:
+    """Robust least squares of `residuals` from `start`: of plane and camera with all tags like squares in the plane, or
+    with the tags' unknowns."""
+    return least_squares(
+        residuals,
+        start,
+        jac=slopes,
+        args=(seen,),
+        loss="soft_l1",
+        f_scale=3.0,  # sd: larger residuals have less weight (soft L1)
+        x_scale="jac",
+    )
+
+
+def residuals(unknowns: Array, seen: Sightings) -> Array:
+    """Detected corners less those of the fitted squares, and the unknowns, each divided by its sd."""
+    view, bare = view_from(unknowns, seen.camera, seen.picture), 3 if seen.camera else 7
+    lying = view.lying[seen.tag] if len(view.lying) else np.zeros((len(seen.tag), len(LYING_SD)))
+    xy, angle = direct = lay_square(to_plane(view, seen.corners))
+    for _ in range(2):  # the closed form is of squares in the plane: corrected by what it makes of the model's corners
+        again = lay_square(to_plane(view, project_tags(view, xy, angle, seen.size, lying)))
+        xy, angle = xy + direct[0] - again[0], angle + direct[1] - again[1]
+    residual = (seen.corners - project_tags(view, xy, angle, seen.size, lying)) / seen.sd
+    residual = np.nan_to_num(residual, nan=OUT_OF_SIGHT, posinf=OUT_OF_SIGHT, neginf=-OUT_OF_SIGHT)
+    wide = np.array([TILT_SD, TILT_SD, np.inf, FOCAL_SD, LENS_SD, CENTRE_SD, CENTRE_SD])[:bare]
+    return np.concatenate([residual.ravel(), unknowns[:bare] / wide, unknowns[bare:]])
+
+
+def slopes(unknowns: Array, seen: Sightings) -> Array:
+    """Jacobian of `residuals`, by differences. A tag's unknowns move its own corners alone: all tags move at once."""
+    bare, own, step = 3 if seen.camera else 7, len(LYING_SD), math.sqrt(np.finfo(float).eps)
+    of_tag = np.arange((len(unknowns) - bare) // own)
+    tag = np.concatenate([np.repeat(seen.tag, 8), np.full(bare, -1), np.repeat(of_tag, own)])
+    before = residuals(unknowns, seen)
+    jacobian = np.zeros((len(before), len(unknowns)))
+    for i in range(bare + own * (len(of_tag) > 0)):
+        moved = unknowns.copy()
+        moved[i if i < bare else slice(i, None, own)] += step
+        change = (residuals(moved, seen) - before) / step
+        if i < bare:
+            jacobian[:, i] = change
+        else:
+            jacobian[:, i::own] = change[:, None] * (tag[:, None] == of_tag)
+    return jacobian
+
+
+def misshapen(view: View) -> BoolArray:
+    """(m,) tags that no square in the plane explains: more tilted, or with corners farther off, than they may be."""
+    off = np.abs(view.lying / LYING_SD)
+    return np.asarray((off[:, 1:3].max(axis=1) * SLOPE_SD > STEEPEST) | (off[:, 3:].max(axis=1) > MOST_OFF))
+
+
+def view_from(unknowns: Array, camera: CameraEntry | None, picture: tuple[int, int]) -> View:
+    """The unknowns as a view: two tilts [rad], log distance [log m]; then, where the camera is not calibrated, log of
+    the focal length over its plain value, k1, and the principal point's shift over the longer side; and of each tag the
+    eleven of `View.lying` over their sds."""
+    tilt_x, tilt_y, log_distance = unknowns[:3]
+    if camera:
+        matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
+        dist = np.array([*camera.dist, 0.0][:5])
+    else:
+        log_focal, k1, shift_x, shift_y = unknowns[3:7]
+        long, (width, height) = max(picture), picture
+        focal = PLAIN_FOCAL * long * math.exp(min(log_focal, FARTHEST_LOG))
+        centre = (width - 1) / 2 + shift_x * long, (height - 1) / 2 + shift_y * long
+        matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1.0]])
+        dist = np.array([k1, 0.0, 0.0, 0.0, 0.0])
+    return View(
+        matrix=matrix,
+        dist=dist,
+        rotation=Rotation.from_rotvec([tilt_x, tilt_y, 0.0]).as_matrix() @ FACING,
+        translation=np.array([0.0, 0.0, math.exp(min(log_distance, FARTHEST_LOG))]),
+        calibrated=camera is not None,
+        corner_sd=math.nan,
+        lying=unknowns[3 if camera else 7 :].reshape(-1, len(LYING_SD)) * LYING_SD,
+    )
+
+
+def project_tags(view: View, xy: Array, angle: Array, size: float, lying: Array) -> Array:
+    """Pixels (..., 4, 2) of the corners of tags over `xy` (..., 2) of the plane, turned by `angle` (...).
+
+    `lying` (..., 11) as `View.lying`; `size` m.
+    """
+    own = square(np.zeros(2), np.zeros(()), size) + lying[..., 3:].reshape(*lying.shape[:-1], 4, 2)
+    rise = own @ lying[..., 1:3, None]
+    flat = own - 0.5 * rise * lying[..., None, 1:3]  # shorter by the cosine
+    corners = rotated(flat, angle[..., None]) + xy[..., None, :]
+    height = np.broadcast_to(lying[..., None, :1] + rise, (*corners.shape[:-1], 1))
+    return project(view, np.concatenate([corners, height], axis=-1))
+
+
+def lowered(view: View, xy: Array, height: Array | float) -> Array:
+    """Places (..., 2) [m] of points that are seen at `xy` (..., 2) of the plane and lie `height` (...) [m] over it."""
+    foot, distance = camera_place(view)
+    return np.asarray(foot + (xy - foot) * (1.0 - np.asarray(height)[..., None] / distance))
+
+
+def square(xy: Array, angle: Array, size: float) -> Array:
+    """Corners (..., 4, 2) [m] of tags at `xy` (..., 2) turned by `angle` (...)."""
+    half = size / 2
+    own = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
+    return rotated(own, angle[..., None]) + xy[..., None, :]
+
+
+def rotated(xy: Array, angle: Array) -> Array:
+    """Vectors `xy` (..., 2) turned counter-clockwise by `angle` (...) [rad]."""
+    cos, sin, x, y = np.cos(angle), np.sin(angle), xy[..., 0], xy[..., 1]
+    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+
+
+def lay_square(flat: Array) -> tuple[Array, Array]:
+    """Place (..., 2) and angle (...) of the square nearest to corners `flat` (..., 4, 2), whatever its size."""
+    xy = flat.mean(axis=-2)
+    own = square(np.zeros(2), np.zeros(()), 1.0)
+    off = flat - xy[..., None, :]
+    dot = (off * own).sum(axis=(-2, -1))
+    cross = (own[:, 0] * off[..., 1] - own[:, 1] * off[..., 0]).sum(axis=-1)
+    return xy, np.arctan2(cross, dot)
