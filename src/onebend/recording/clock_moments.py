@@ -6,6 +6,7 @@ are held by two conditions: one force explains all turns of a frame, and the log
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -27,6 +28,7 @@ TYPICAL, LARGE = 0.01, 0.1  # of the largest force: jumps of the log's error whe
 STEP, MOST_OFFSETS = 0.02, 31  # of the first grid: s between offsets at least, and their largest number
 REACH = 4.0  # sd: half-width of a refinement
 TURNS = 2  # rounds of parameters, noise and jumps at one offset
+SIZES = 20  # rounds of the size of the turns' noise
 FIRST, FAST = 10, 3  # rounds of the parameters at one offset, and from there at another one
 
 # Of the parameters (p,): a negative log likelihood, minus its gradient (p,), and its curvature (p, p)
@@ -341,7 +343,7 @@ def _found_from(
     shared, z = common_rows(moments, rows, every, first)
     if shared is None:
         return None
-    best = first
+    best, shared = first, with_misfit(shared, fit_log_error(shared, first, z, 0.0).z)
     for _ in range(4):
         errors = likely_errors(shared, best, z)
         mean, sd, log_evidence = scan_closer(shared, offsets, errors, prior)
@@ -376,6 +378,16 @@ def scan_closer(
     most = float(log_density.max())
     weight = np.exp(log_density - most) @ np.gradient(offsets)
     return *moments_of(offsets, log_density), most + float(np.log(weight))
+
+
+def with_misfit(shared: CommonRows, z: Array) -> CommonRows:
+    """With as much noise of the turns as no one force explains: frame by frame, errors that last do not show."""
+    square = np.sum(shared.model.turn_residuals(shared.film, z) ** 2, axis=1)
+    spans, free, size = len(shared.moments.noise), DEGREES_OF_FREEDOM, 1.0
+    for _ in range(SIZES):  # of Student's t
+        size = float(np.mean((free + spans) * square / (free + square / size))) / max(spans - 2, 1)
+    moments = replace(shared.moments, noise=max(math.sqrt(size), 1.0) * shared.moments.noise)
+    return replace(shared, moments=moments, model=replace(shared.model, moments=moments))
 
 
 def likely_errors(shared: CommonRows, offset: float, z: Array) -> list[LogError]:

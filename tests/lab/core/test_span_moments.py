@@ -13,6 +13,7 @@ from onebend.recording.clock import fit_clock
 from onebend.recording.clock_evidence import moments_of
 from onebend.recording.clock_features import ClockSettings, Moments, film_features, without_jumps
 from onebend.recording.clock_moments import (
+    CommonRows,
     ForceLogModel,
     MomentsAtRows,
     film_misfit,
@@ -20,6 +21,7 @@ from onebend.recording.clock_moments import (
     load_change_share,
     log_covariance,
     moments_at,
+    with_misfit,
 )
 from onebend.recording.force_noise import TimeSpans, covariance
 from onebend.records import ForceNoise
@@ -74,6 +76,21 @@ def test_force_told_by_the_turns_is_the_one_that_made_them() -> None:
     cost, slope, _ = film_misfit(model, turned.select(bent), z)
     assert cost < 1e-3 * len(time)
     assert np.abs(slope).max() < 1.0
+
+
+@pytest.mark.parametrize(("size", "more"), [(0.0, 1.0), (1.0, 1.0), (5.0, 5.0)])
+def test_turns_that_no_one_force_explains_have_so_much_more_noise(size: float, more: float) -> None:
+    virtual, moments = exact(1)
+    time, seen = rows_of(virtual, moments)
+    model = ForceLogModel(moments, np.array([0.7, 1.3, 2.0])[: len(moments.largest)], 1.0)
+    z = model.start(np.zeros(2))
+    force = np.stack([np.cos(time), 1.0 + 0.3 * np.sin(time)], axis=1)
+    lasting = np.repeat(np.random.default_rng(0).standard_normal((len(time) // 10 + 1, len(moments.noise))), 10, axis=0)
+    turn = np.einsum("cnk,nc->nk", model.turns_per_force(seen, z), force) + size * moments.noise * lasting[: len(time)]
+    film = replace(seen, turn=turn)
+    found = with_misfit(CommonRows(moments, time, 0.1, force, film, model), z)
+    assert found.model.moments is found.moments
+    assert np.allclose(found.moments.noise / moments.noise, more, rtol=0.3)
 
 
 def test_a_jump_is_found_and_no_other() -> None:
