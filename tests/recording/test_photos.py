@@ -81,7 +81,9 @@ def moved() -> list[View]:
 def test_photos_give_the_poses_and_k(tmp_path: Path) -> None:
     o = observe(folder_of(tmp_path))
     assert o.static
-    assert np.abs(o.xy - true()[:, 1:, :2]).max() < 1.7e-4
+    off = o.xy - true()[:, 1:, :2]
+    assert np.abs(off).max() < 5e-4  # five pictures of tags of 30 px leave their heights open, alike in all
+    assert np.abs(off - off[0]).max() < 1.7e-4
     assert np.abs(o.angle - true()[:, 1:, 2]).max() < 0.01
     np.testing.assert_allclose(o.force, FORCE)
     posterior = fit([o], start_of([o], None), settings=FitSettings(functions=8))

@@ -93,38 +93,76 @@ PRINT_SD = 2e-5  # m, of a corner: an edge is rounded to the printer's dots, of 
 LYING_SD: Array = np.array([HEIGHT_SD, SLOPE_SD, SLOPE_SD, *[PRINT_SD] * 8])
 NORMAL_MEDIAN = 0.67449  # median of |x|, x normal with unit variance
 DEGREES_OF_FREEDOM = 5  # a tag's eight coordinates less the three of its pose
-ROUGH = math.sqrt(8 / DEGREES_OF_FREEDOM) / NORMAL_MEDIAN  # sd of a corner over the median size of its residual
 # What no lens model holds distorts a tag by this share of its side, alike in a part of the picture: it does not average
 # out over the sightings there. A good calibration leaves 0.1 to 0.3 px in a picture of 1000 px.
 FIELD_ERROR = 5e-4
 ZONES = 12  # such parts, of all that the tags move through
-LEAST_NOISE, MOST_NOISE = 1e-6, 0.1  # of a corner: px, and in sides of a tag
+LEAST_NOISE, MOST_NOISE = 0.02, 0.1  # of a corner: px, and in sides of a tag
 FARTHEST_LOG = 50.0  # a search that goes on beyond ends in no number
 OUT_OF_SIGHT = 1e3  # px, residual of a corner that a trial camera cannot see
+
+
+@dataclass(frozen=True)
+class PlaneModel:
+    """What is unknown of plane and camera, and of tags that lie nearly in the plane.
+
+    Two tilts [rad] and the log of the distance [m] of the plane; then, where the camera is not calibrated, the log of
+    the focal length over its plain value, k1, and the principal point's shift over the longer side; then of each tag
+    the eleven of `View.lying` over their sds. Without these the tags are squares in the plane.
+    """
+
+    camera: CameraEntry | None
+    picture: tuple[int, int]  # px
+
+    @property
+    def count(self) -> int:
+        """Unknowns of plane and camera."""
+        return 3 if self.camera else 7
+
+    def view(self, unknowns: Array) -> View:
+        tilt_x, tilt_y, log_distance = unknowns[:3]
+        if self.camera:
+            matrix = np.array([[self.camera.fx, 0, self.camera.cx], [0, self.camera.fy, self.camera.cy], [0, 0, 1.0]])
+            dist = np.array([*self.camera.dist, 0.0][:5])
+        else:
+            log_focal, k1, shift_x, shift_y = unknowns[3:7]
+            long, (width, height) = max(self.picture), self.picture
+            focal = PLAIN_FOCAL * long * math.exp(min(log_focal, FARTHEST_LOG))
+            centre = (width - 1) / 2 + shift_x * long, (height - 1) / 2 + shift_y * long
+            matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1.0]])
+            dist = np.array([k1, 0.0, 0.0, 0.0, 0.0])
+        return View(
+            matrix=matrix,
+            dist=dist,
+            rotation=Rotation.from_rotvec([tilt_x, tilt_y, 0.0]).as_matrix() @ FACING,
+            translation=np.array([0.0, 0.0, math.exp(min(log_distance, FARTHEST_LOG))]),
+            calibrated=self.camera is not None,
+            corner_sd=math.nan,
+            lying=unknowns[self.count :].reshape(-1, len(LYING_SD)) * LYING_SD,
+        )
 
 
 @dataclass(frozen=True)
 class PlaneFit:
     """The fitted unknowns and their covariance."""
 
-    unknowns: Array  # (3 + 11 m,) or (7 + 11 m,), see `view_from`
-    covariance: Array  # of all
-    camera: CameraEntry | None
-    picture: tuple[int, int]
+    unknowns: Array  # (p,) of `model`
+    covariance: Array  # (p, p)
+    model: PlaneModel
 
     @property
     def view(self) -> View:
-        return view_from(self.unknowns, self.camera, self.picture)
+        return self.model.view(self.unknowns)
 
     def variations(self) -> list[View]:
         """Views one standard deviation away along each principal direction of the uncertainty of camera, plane and the
         tags' heights."""
-        count = 3 if self.camera else 7
+        count = self.model.count
         some = np.concatenate([np.arange(count), np.arange(count, len(self.unknowns), len(LYING_SD))])
         variance, direction = np.linalg.eigh(self.covariance[np.ix_(some, some)])
         shifts = np.zeros((len(some), len(self.unknowns)))
         shifts[:, some] = (direction * np.sqrt(np.maximum(variance, 0.0))).T
-        return [view_from(self.unknowns + shift, self.camera, self.picture) for shift in shifts]
+        return [self.model.view(self.unknowns + shift) for shift in shifts]
 
 
 @dataclass(frozen=True)
@@ -134,12 +172,16 @@ class Sightings:
     corners: Array  # (K, 4, 2) px
     tag: IntArray  # (K,) which of the tags
     size: float  # m
-    camera: CameraEntry | None
-    picture: tuple[int, int]  # px
     sd: float  # px, noise of the corners
+    model: PlaneModel
 
     def every(self, step: int) -> Sightings:
         return replace(self, corners=self.corners[::step], tag=self.tag[::step])
+
+    def with_noise(self, noise: float, side_px: float) -> Sightings:
+        """With this noise [px] and what does not average out over as many sightings."""
+        lasting = FIELD_ERROR * side_px * math.sqrt(len(self.corners) / ZONES)
+        return replace(self, sd=math.hypot(max(noise, LEAST_NOISE), lasting))
 
 
 def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: tuple[int, int]) -> PlaneFit:
@@ -150,30 +192,38 @@ def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: 
     calibration, `picture` px.
     """
     shown = np.isfinite(corners).all(axis=(2, 3))
-    seen = Sightings(corners[shown], np.nonzero(shown)[1], size, camera, picture, 1.0)
+    seen = Sightings(corners[shown], np.nonzero(shown)[1], size, 1.0, PlaneModel(camera, picture))
     side_px = float(np.median(np.linalg.norm(np.roll(seen.corners, -1, axis=1) - seen.corners, axis=2)))
     focal = camera.fx if camera else PLAIN_FOCAL * max(picture)
     few = seen.every(max(1, len(seen.corners) // 60))
     tries = [solve(start, few) for start in starts(math.log(focal * size / side_px), camera is None)]
     found = min(tries, key=lambda fit: float(fit.cost))
-    start = np.append(found.x, np.zeros(corners.shape[1] * len(LYING_SD)))
-    for part in (few, seen):
-        rough = float(np.median(np.abs(found.fun[: few.corners.size]))) * few.sd * ROUGH
-        lasting = FIELD_ERROR * side_px * math.sqrt(len(part.corners) / ZONES)
-        few = replace(few, sd=math.hypot(max(rough, LEAST_NOISE), lasting))
-        found = solve(start, replace(part, sd=few.sd))
-        start = found.x
+    lying = np.zeros(corners.shape[1] * len(LYING_SD))
+    noise = _noise(found, few)
+    few = few.with_noise(noise, side_px)
+    found = solve(np.append(found.x, lying), few)
+    noise = min(noise, _noise(found, few))
+    found = solve(found.x, seen.with_noise(noise, side_px))
     normal = found.jac.T @ found.jac
     known = np.linalg.cond(normal) < 1 / np.finfo(float).eps
-    fit = PlaneFit(found.x, np.linalg.inv(normal) if known else np.full_like(normal, np.nan), camera, picture)
+    fit = PlaneFit(found.x, np.linalg.inv(normal) if known else np.full_like(normal, np.nan), seen.model)
     in_front = np.isfinite(to_plane(fit.view, seen.corners)).all()
-    if not known or not in_front or misshapen(fit.view).all() or rough > MOST_NOISE * side_px:
+    if not known or not in_front or misshapen(fit.view).all() or noise > MOST_NOISE * side_px:
         raise ObservationError(
             "No flat plane in front of the camera explains the tags' shapes. Check size_m and [camera] in "
             "recording.toml, and that all tags lie flat in one plane.",
             about="no plane",
         )
     return fit
+
+
+def _noise(found: OptimizeResult, seen: Sightings) -> float:
+    """px, noise of the corners by the median of the residuals; infinite where too few are left to tell it."""
+    count = seen.corners.size
+    free = DEGREES_OF_FREEDOM * len(seen.corners) - len(found.x)
+    if free < len(seen.corners):
+        return math.inf
+    return float(np.median(np.abs(found.fun[:count]))) * seen.sd * math.sqrt(count / free) / NORMAL_MEDIAN
 
 
 def starts(log_distance: float, uncalibrated: bool) -> list[Array]:
@@ -199,7 +249,7 @@ def solve(start: Array, seen: Sightings) -> OptimizeResult:
 
 def residuals(unknowns: Array, seen: Sightings) -> Array:
     """Detected corners less those of the fitted squares, and the unknowns, each divided by its sd."""
-    view, bare = view_from(unknowns, seen.camera, seen.picture), 3 if seen.camera else 7
+    view, bare = seen.model.view(unknowns), seen.model.count
     lying = view.lying[seen.tag] if len(view.lying) else np.zeros((len(seen.tag), len(LYING_SD)))
     xy, angle = direct = lay_square(to_plane(view, seen.corners))
     for _ in range(2):  # the closed form is of squares in the plane: corrected by what it makes of the model's corners
@@ -213,7 +263,7 @@ def residuals(unknowns: Array, seen: Sightings) -> Array:
 
 def slopes(unknowns: Array, seen: Sightings) -> Array:
     """Jacobian of `residuals`, by differences. A tag's unknowns move its own corners alone: all tags move at once."""
-    bare, own, step = 3 if seen.camera else 7, len(LYING_SD), math.sqrt(np.finfo(float).eps)
+    bare, own, step = seen.model.count, len(LYING_SD), math.sqrt(np.finfo(float).eps)
     of_tag = np.arange((len(unknowns) - bare) // own)
     tag = np.concatenate([np.repeat(seen.tag, 8), np.full(bare, -1), np.repeat(of_tag, own)])
     before = residuals(unknowns, seen)
@@ -233,32 +283,6 @@ def misshapen(view: View) -> BoolArray:
     """(m,) tags that no square in the plane explains: more tilted, or with corners farther off, than they may be."""
     off = np.abs(view.lying / LYING_SD)
     return np.asarray((off[:, 1:3].max(axis=1) * SLOPE_SD > STEEPEST) | (off[:, 3:].max(axis=1) > MOST_OFF))
-
-
-def view_from(unknowns: Array, camera: CameraEntry | None, picture: tuple[int, int]) -> View:
-    """The unknowns as a view: two tilts [rad], log distance [log m]; then, where the camera is not calibrated, log of
-    the focal length over its plain value, k1, and the principal point's shift over the longer side; and of each tag the
-    eleven of `View.lying` over their sds."""
-    tilt_x, tilt_y, log_distance = unknowns[:3]
-    if camera:
-        matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
-        dist = np.array([*camera.dist, 0.0][:5])
-    else:
-        log_focal, k1, shift_x, shift_y = unknowns[3:7]
-        long, (width, height) = max(picture), picture
-        focal = PLAIN_FOCAL * long * math.exp(min(log_focal, FARTHEST_LOG))
-        centre = (width - 1) / 2 + shift_x * long, (height - 1) / 2 + shift_y * long
-        matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1.0]])
-        dist = np.array([k1, 0.0, 0.0, 0.0, 0.0])
-    return View(
-        matrix=matrix,
-        dist=dist,
-        rotation=Rotation.from_rotvec([tilt_x, tilt_y, 0.0]).as_matrix() @ FACING,
-        translation=np.array([0.0, 0.0, math.exp(min(log_distance, FARTHEST_LOG))]),
-        calibrated=camera is not None,
-        corner_sd=math.nan,
-        lying=unknowns[3 if camera else 7 :].reshape(-1, len(LYING_SD)) * LYING_SD,
-    )
 
 
 def project_tags(view: View, xy: Array, angle: Array, size: float, lying: Array) -> Array:
