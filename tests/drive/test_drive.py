@@ -89,7 +89,9 @@ def test_the_true_point_comes_to_rest_on_the_goal(
     outcome = drive_cell(tmp_path, plan, cell, watch=watch, robot=robot)
     (one,) = outcome.drive.outcomes
     assert outcome.good, outcome.drive.events
-    assert np.linalg.norm(true[-1] - goal) < one.said < 1e-3
+    # Most of what is said is the heights of the tags, which pictures of the rest leave open.
+    assert np.linalg.norm(true[-1] - goal) < min(one.said, 1e-3)
+    assert one.said < 1.5e-3
     lag = 0.02 if by == "pose" else 0.0
     assert outcome.drive.meter.delay == pytest.approx(0.06 + lag + TURN, abs=0.02)
     assert float(np.linalg.norm(true_point(cell, 1.0) - [0.15, 0.0])) < 1e-3  # it was brought back
