@@ -44,7 +44,7 @@ def full() -> Observations:
         video=Path("film") / "video.mp4",
         place_seen=True,
         video_topic="/camera",
-        view=replace(made_up.view(), lying=rng.normal(size=(3, 11))),
+        view=replace(made_up.overhead_view(), lying=rng.normal(size=(3, 11))),
         clean_force=replace(
             clean,
             push_s=np.linspace(0.5, 1.0, len(clean.time)),
