@@ -97,7 +97,7 @@ DEGREES_OF_FREEDOM = 5  # a tag's eight coordinates less the three of its pose
 # out over the sightings there. A good calibration leaves 0.1 to 0.3 px in a picture of 1000 px.
 FIELD_ERROR = 5e-4
 ZONES = 12  # such parts, of all that the tags move through
-LEAST_NOISE, MOST_NOISE = 0.02, 0.1  # of a corner: px, and in sides of a tag
+LEAST_NOISE, UNTOLD_NOISE, MOST_NOISE = 0.02, 0.1, 0.1  # of a corner: px, px, and in sides of a tag
 FARTHEST_LOG = 50.0  # a search that goes on beyond ends in no number
 OUT_OF_SIGHT = 1e3  # px, residual of a corner that a trial camera cannot see
 
@@ -199,10 +199,10 @@ def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: 
     tries = [solve(start, few) for start in starts(math.log(focal * size / side_px), camera is None)]
     found = min(tries, key=lambda fit: float(fit.cost))
     lying = np.zeros(corners.shape[1] * len(LYING_SD))
-    noise = _noise(found, few)
+    noise = _noise(found, few, UNTOLD_NOISE)
     few = few.with_noise(noise, side_px)
     found = solve(np.append(found.x, lying), few)
-    noise = min(noise, _noise(found, few))
+    noise = min(noise, _noise(found, few, noise))
     found = solve(found.x, seen.with_noise(noise, side_px))
     normal = found.jac.T @ found.jac
     known = np.linalg.cond(normal) < 1 / np.finfo(float).eps
@@ -217,12 +217,12 @@ def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: 
     return fit
 
 
-def _noise(found: OptimizeResult, seen: Sightings) -> float:
-    """px, noise of the corners by the median of the residuals; infinite where too few are left to tell it."""
+def _noise(found: OptimizeResult, seen: Sightings, untold: float) -> float:
+    """px, noise of the corners by the median of the residuals; `untold` where too few sightings tell it."""
     count = seen.corners.size
     free = DEGREES_OF_FREEDOM * len(seen.corners) - len(found.x)
     if free < len(seen.corners):
-        return math.inf
+        return untold
     return float(np.median(np.abs(found.fun[:count]))) * seen.sd * math.sqrt(count / free) / NORMAL_MEDIAN
 
 

@@ -19,9 +19,19 @@ from onebend.recording.camera import (
     unwrap,
 )
 from onebend.recording.entries import Recording, TagEntry
-from onebend.recording.plane import LYING_SD, distort, lay_square, project, project_tags, square, to_plane, undistort
+from onebend.recording.plane import (
+    LYING_SD,
+    distort,
+    fit_plane,
+    lay_square,
+    project,
+    project_tags,
+    square,
+    to_plane,
+    undistort,
+)
 from onebend.records import Array, Detections, covariance_with_camera
-from tests.recording.filmed import LENGTH, SIZE, corners_of, detections, poses, recording, view
+from tests.recording.filmed import HEIGHT, LENGTH, SIZE, WIDTH, corners_of, detections, poses, recording, view
 
 TRUE = poses(60)
 SEEN = view()
@@ -322,3 +332,14 @@ def test_angles_are_continuous_and_start_near_zero(steps: list[float], holes: in
     found = unwrap(wrapped[:, None])[:, 0]
     known = np.isfinite(wrapped)
     assert found[known] == pytest.approx(true[known], abs=1e-9)
+
+
+@pytest.mark.parametrize("calibrated", [True, False])
+def test_one_tag_in_one_picture_gives_the_plane(calibrated: bool) -> None:
+    """A photo with a tag on the clamp alone: the scale is that of the tag, the tilt is left open."""
+    facing = view(tilt=(0.0, 0.0), dist=(0.0,) * 5)
+    rec, corners = recording(calibrated=facing), corners_of(TRUE[30:31, :1], facing)
+    plane = fit_plane(corners, SIZE, rec.camera if calibrated else None, (WIDTH, HEIGHT))
+    side = np.linalg.norm(np.diff(to_plane(plane.view, corners[0, 0]), axis=0), axis=1)
+    assert side == pytest.approx(SIZE, rel=2e-3)
+    assert np.all(np.isfinite(plane.covariance))
