@@ -335,8 +335,9 @@ def random_bench(rng: np.random.Generator, chance: BenchRanges = BenchRanges(), 
 
 
 def _with_bench(filming: Filming, bench: VirtualBench) -> Filming:
-    """With this bench; its mass is told where its motion has inertia."""
-    return replace(filming, bench=bench, mass_told=filming.mass_told and bench.effects.inertia)
+    """With this bench; its mass is told where its motion has inertia or weight."""
+    heavy = bench.effects.inertia or filming.swings or filming.gravity > 0.0
+    return replace(filming, bench=bench, mass_told=filming.mass_told and heavy)
 
 
 def as_thick(filming: Filming) -> Filming:

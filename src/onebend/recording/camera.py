@@ -261,9 +261,10 @@ FARTHEST = 99.0  # percentile of the distances that counts as the largest
 def measure_markers(detections: Detections, description: Recording, outline: OutlineTrack | None = None) -> Markers:
     """Pose of every beam tag relative to the base, per frame.
 
-    All tags lie in one plane, and the camera stands still. A tag's pose is that of the square of the known size whose
-    projected corners are nearest to the detected ones. The corners' noise comes from the residuals of the whole
-    recording. Points of the body's `outline` in the same frames lie in that plane, too; markers rise in s then.
+    Tags lie near one plane, each at a height and a tilt of its own, and the camera stands still. A tag's pose is that
+    of the square whose projected corners are nearest to the detected ones. The corners' noise comes from the residuals
+    of the whole recording. Points of the body's `outline` in the same frames lie as high as the tags beside them;
+    markers rise in s then.
 
     Raises:
         RecordingError: the calibration is of another picture size.

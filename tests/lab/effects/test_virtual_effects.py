@@ -11,6 +11,7 @@ from onebend.beam.model import Beam
 from onebend.errors import RecordingError
 from onebend.lab.bench import PushProfile, RealBench, TagNoise, section_flexibility
 from onebend.lab.designs import DESIGNS, force_that_bends, random_stiffness
+from onebend.lab.filming import Filming
 from onebend.lab.random_bench import (
     EFFECTS,
     LABORATORY,
@@ -136,6 +137,20 @@ def test_a_design_is_as_thick_as_its_width_says() -> None:
     area = np.asarray(design.width(S)) * design.depth
     np.testing.assert_allclose(1.0 / stretch, design.modulus * area, rtol=1e-3)
     np.testing.assert_allclose(stretch / shear, 5.0 / 6.0 / 2.9)
+
+
+def test_a_mass_is_told_where_the_motion_shows_it() -> None:
+    """A fit takes a stated mass for one that has inertia."""
+    plain = filming_of(DESIGNS["linear"], FilmRequest(), "linear")
+
+    def told(filming: Filming, effect: str) -> bool:
+        return design_with_effects(filming, np.random.default_rng(1), only(effect)).mass_told
+
+    assert plain.mass_told
+    assert not told(plain, "stretch")
+    assert told(plain, "inertia")
+    assert told(replace(plain, gravity=9.81), "stretch")
+    assert told(replace(plain, swings=True), "heights")
 
 
 def test_random_benches_are_the_same_but_for_their_effects() -> None:
