@@ -221,7 +221,7 @@ def _tool_tags(rec: Recording, made: Observations, tag: int) -> tuple[Array, Arr
     if rec.video is None or view is None or clock is None:
         raise RecordingError(f"{rec.folder}: a tag on the tool is seen in a film alone, and this recording has none.")
     found = detect_tags(rec.video, replace(rec.tags, on_beam=(*rec.tags.on_beam, TagEntry(id=tag, s=1.0))))
-    corners, view = found.corners[:, -1:], replace(view, lying=np.zeros((0, 11)))
+    corners, view = found.corners[:, -1:], replace(view, lying=view.lying[:0])
     poses, _, _ = measure_poses(view, corners, rec.tags.size, noise=max(view.corner_sd, 0.02))
     shown = np.isfinite(poses.xy[:, 0]).all(axis=-1)
     return found.time[shown] + clock.offset, poses.xy[shown, 0]

@@ -13,11 +13,11 @@ from onebend.errors import ObservationError, RecordingError
 from onebend.recording.entries import CameraEntry, Recording, TagEntry, TagsEntry
 from onebend.recording.plane import (
     DEGREES_OF_FREEDOM,
-    LYING_SD,
     PlaneFit,
     fit_plane,
     lay_square,
     lowered,
+    lying_of,
     misshapen,
     project_tags,
     rotated,
@@ -60,7 +60,7 @@ def measure_poses(
     The noise is that of the residuals, or `noise` [px, one sd]. Generalised least squares by Gauss-Newton on the eight
     coordinates of each tag; `corners` (T, m, 4, 2) px, NaN stays NaN."""
     xy, angle = lay_square(to_plane(view, corners))
-    lying = view.lying if len(view.lying) else np.zeros((corners.shape[-3], len(LYING_SD)))
+    lying = lying_of(view, corners.shape[-3])
     weight = corner_weight(corners)
     for _ in range(refinements):
         jacobian, residual = linearise(view, xy, angle, corners, size, lying)

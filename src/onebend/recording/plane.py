@@ -250,7 +250,7 @@ def solve(start: Array, seen: Sightings) -> OptimizeResult:
 def residuals(unknowns: Array, seen: Sightings) -> Array:
     """Detected corners less those of the fitted squares, and the unknowns, each divided by its sd."""
     view, bare = seen.model.view(unknowns), seen.model.count
-    lying = view.lying[seen.tag] if len(view.lying) else np.zeros((len(seen.tag), len(LYING_SD)))
+    lying = lying_of(view, int(seen.tag.max()) + 1)[seen.tag]
     xy, angle = direct = lay_square(to_plane(view, seen.corners))
     for _ in range(2):  # the closed form is of squares in the plane: corrected by what it makes of the model's corners
         again = lay_square(to_plane(view, project_tags(view, xy, angle, seen.size, lying)))
@@ -281,8 +281,13 @@ def slopes(unknowns: Array, seen: Sightings) -> Array:
 
 def misshapen(view: View) -> BoolArray:
     """(m,) tags that no square in the plane explains: more tilted, or with corners farther off, than they may be."""
-    off = np.abs(view.lying / LYING_SD)
-    return np.asarray((off[:, 1:3].max(axis=1) * SLOPE_SD > STEEPEST) | (off[:, 3:].max(axis=1) > MOST_OFF))
+    off = np.abs(view.lying)
+    return np.asarray((off[:, 1:3].max(axis=1) > STEEPEST) | (off[:, 3:].max(axis=1) > MOST_OFF * PRINT_SD))
+
+
+def lying_of(view: View, count: int) -> Array:
+    """(count, 11) `View.lying` of so many tags, zero where the view has none."""
+    return view.lying if len(view.lying) else np.zeros((count, len(LYING_SD)))
 
 
 def project_tags(view: View, xy: Array, angle: Array, size: float, lying: Array) -> Array:
