@@ -297,7 +297,7 @@ def serve(folder: Path, *, port: int = 0, ready: Callable[[str], None]) -> None:
     config = uvicorn.Config(
         guard,
         http=Protocol,
-        backlog=MOST_STRANGERS,  # more are not taken at once, before the oldest of them end
+        backlog=MOST_STRANGERS // 2,  # that many are taken at once, up to four times before the oldest of them end
         log_config=None,
         access_log=False,
         ws="websockets-sansio",
