@@ -214,6 +214,7 @@ SHADOW = np.array([0.0025, -0.003])  # m, offset of a shadow
 STRIPS = ((1.0, 0.92), (0.75, 1.0))  # of the beam: share of width, brightness
 PIECE = 30  # beam nodes per piece
 TOOL_LENGTH = 0.25  # m
+STEEPEST = 0.4  # sine of the force's angle to the beam, from which on the tool's end reaches into it
 RETREAT, APPROACH = 0.04, 0.8  # m the tool waits away; s it takes to come
 HAND = (0.035, 0.022)  # m, half axes
 HAND_SPEED, HAND_TIME = 0.12, 1.2  # m/s; s before and after it passes
@@ -319,12 +320,14 @@ def strip(pose: BeamPose, half_width: Array) -> Array:
 
 
 def tool_outline(cast: MovingScene, pose: BeamPose) -> Array:
-    """A chamfered bar touching the beam's edge at the push; it waits aside before and after."""
+    """A chamfered bar; its end touches the beam's edge where the line of the force to the push leaves the beam. It
+    waits aside before and after."""
     push, places = cast.push, np.linspace(0.0, 1.0, len(pose.xy))
     angle = float(push.angle(np.array([pose.time]))[0]) + cast.base_angle
     along = np.array([np.cos(angle), np.sin(angle)])
     touch = np.array([np.interp(pose.contact, places, pose.xy[:, i]) for i in range(2)])
-    half = float(np.interp(pose.contact, places, cast.half_width))
+    lean = angle - float(np.interp(pose.contact, places, pose.angle))
+    half = float(np.interp(pose.contact, places, cast.half_width)) / max(abs(math.sin(lean)), STEEPEST)
     begin, end = push.contact
     away = smooth(np.array([(begin - pose.time) / APPROACH]))[0]
     if push.after > 0.0:

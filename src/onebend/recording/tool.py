@@ -253,6 +253,7 @@ class ToolPlace:
     shown: float  # share of the loaded frames in which it is there
     why: str  # why it is not seen; "" where it is
     track: ToolTrack | None = None  # frame by frame
+    ends: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (P, 2) m, from the beam's axis to its end; likewise
 
     @property
     def seen(self) -> bool:
@@ -391,6 +392,10 @@ FREEDOM = 4.0  # degrees of freedom of Student's t
 TOUCH = 1.0 / 6.0  # of the width: one sd of the place at which it touches about the middle of its end
 ROLLS = TOUCH  # of the width, per rad that the beam turns: by so much that place may move
 LIFTED = 0.5  # of the width: one sd of the height over the tags' plane at which the tool is seen
+# A force that leans, through the tool's end on the flank, meets the axis elsewhere. The beam is said to be pushed
+# there, or beside the tool's end; a place anywhere between is off by this share (RMS).
+LEANS = 1.0 / sqrt(3.0)
+_STEEPEST = 2.0  # of the force along the beam over that across: of more the way to the axis tells nothing
 
 
 def _strip(
@@ -428,7 +433,8 @@ def _followed(
     sd = max(scatter, 0.5 * grid.step / grid.length)
     whole = float(np.hypot(sd / sqrt(len(s)), np.linalg.norm(effects.mean(axis=0))))
     track = ToolTrack(time[clear], s, np.full(len(s), sd), effects)
-    return replace(found, s=min(middle, 1.0), sd=whole, width=touch.width, track=track)
+    ends = np.array([strip.flank * strip.outward for strip in strips])[clear]
+    return replace(found, s=min(middle, 1.0), sd=whole, width=touch.width, track=track, ends=ends)
 
 
 LOADED, AT_REST = 24, 8  # frames of each that are looked at; half of them are enough where these are kept
@@ -454,11 +460,24 @@ def tool_checked(rec: Recording, seen: Observations, base_angle: Array, find: Fi
         seen.time, seen.tag_id, seen.marker_s, seen.xy, seen.angle, seen.covariance, base_angle,
         seen.source.view, traced=seen.traced,
     )  # fmt: skip
-    tool = find(of_markers(markers, read_before_fit(seen)), seen.loaded, seen.frame)
+    tool = _leaning(find(of_markers(markers, read_before_fit(seen)), seen.loaded, seen.frame), seen)
     remarks, where_stated = tool_remarks(tool, rec), tool.seen and not _tool_elsewhere(tool, rec)
     source = replace(seen.source, remarks=(*seen.source.remarks, *remarks), place_seen=where_stated)
     track = _doubted(tool, rec) if where_stated else None
     return replace(seen, source=source, tool=track)
+
+
+def _leaning(tool: ToolPlace, seen: Observations) -> ToolPlace:
+    """With the error of a place at which the force leans against the beam (see `LEANS`)."""
+    if tool.track is None:
+        return tool
+    force, out = seen.force[np.searchsorted(seen.time, tool.track.time)], tool.ends
+    height = np.linalg.norm(out, axis=1)
+    inwards, along = -np.sum(force * out, axis=1), force[:, 1] * out[:, 0] - force[:, 0] * out[:, 1]
+    steep = np.divide(along, np.abs(inwards), out=np.zeros(len(out)), where=inwards != 0.0)
+    effect = LEANS * np.clip(steep, -_STEEPEST, _STEEPEST) * height / seen.length
+    track = replace(tool.track, effects=np.column_stack([tool.track.effects, effect]))
+    return replace(tool, sd=float(np.hypot(tool.sd, effect.mean())), track=track)
 
 
 def _doubted(tool: ToolPlace, rec: Recording) -> ToolTrack | None:

@@ -190,7 +190,7 @@ def test_another_place_than_stated_is_warned_of() -> None:
 @pytest.mark.parametrize(("s", "shown", "there"), [(0.98, 0.3, True), (0.8, 0.3, False), (0.8, 0.9, False)])
 def test_the_place_is_seen_where_the_tool_is_seen_there(s: float, shown: float, there: bool) -> None:
     track = ToolTrack(np.arange(3.0), np.full(3, s), np.full(3, 0.01), np.full((3, 1), 0.02))
-    tool, o = ToolPlace(s, 0.02, 0.007, False, shown, "", track), observations()
+    tool, o = ToolPlace(s, 0.02, 0.007, False, shown, "", track, np.zeros((3, 2))), observations()
     rec = replace(recording(), push=PushEntry(at=1.0))
     checked = tool_checked(rec, o, np.zeros(len(o.time)), lambda *_: tool)
     assert checked.source.place_seen == there
@@ -203,7 +203,7 @@ def test_a_tool_beside_the_stated_place_counts_less() -> None:
     rec = replace(recording(), push=PushEntry(at=1.0, at_sd=1e-3))
 
     def told(s: float) -> ToolTrack:
-        tool = ToolPlace(s, 0.02, 0.007, False, 1.0, "", track)
+        tool = ToolPlace(s, 0.02, 0.007, False, 1.0, "", track, np.zeros((3, 2)))
         checked = tool_checked(rec, o, np.zeros(len(o.time)), lambda *_: tool).tool
         assert checked is not None
         return checked
@@ -211,7 +211,23 @@ def test_a_tool_beside_the_stated_place_counts_less() -> None:
     at, near = told(1.0), told(0.95)
     np.testing.assert_allclose(at.sd, track.sd)
     assert np.all(near.sd > 1.3 * track.sd)
-    np.testing.assert_allclose(near.effects / track.effects, near.sd[0] / track.sd[0])
+    np.testing.assert_allclose(near.effects[:, :1] / track.effects, near.sd[0] / track.sd[0])
+
+
+def test_a_tool_whose_force_leans_may_act_beside_its_end() -> None:
+    """The line of the force through an end 10 mm from the axis meets it 10 mm farther at 45 degrees; less what is
+    between is uniform: 10 mm over the root of three. A force straight across changes nothing."""
+    o = observations()
+    track = ToolTrack(o.time[:3], np.ones(3), np.full(3, 0.01), np.zeros((3, 1)))
+    rec, ends = replace(recording(), push=PushEntry(at=1.0)), np.tile([0.0, -0.01], (3, 1))
+    force = np.zeros_like(o.force)
+    force[:3] = [[0.0, 1.0], [1.0, 1.0], [-1.0, 1.0]]
+    tool = ToolPlace(1.0, 0.02, 0.007, False, 1.0, "", track, ends)
+    checked = tool_checked(rec, replace(o, force=force), np.zeros(len(o.time)), lambda *_: tool).tool
+    assert checked is not None
+    lever = 0.01 / o.length / np.sqrt(3.0)
+    np.testing.assert_allclose(np.abs(checked.effects[:, 1]), [0.0, lever, lever], atol=1e-12)
+    assert checked.effects[1, 1] == pytest.approx(-checked.effects[2, 1])
 
 
 def test_medians_and_runs_are_those_of_the_plain_ways() -> None:
