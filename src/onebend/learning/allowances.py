@@ -101,7 +101,7 @@ class PushCourse:
     bend: Array  # (F,) displacement of the tags, over its largest
     back: Array  # (F,) 1 after the largest displacement
     elapsed: Array  # (F,) 0 to 1: integral of `bend` over time so far, over its end
-    turn: Array  # (F, m) rad of each tag since rest; 0 where it was not seen
+    turn: Array  # (F, m) rad of each tag since rest
     moved: Array  # (F, 2) displacement of the beam since rest where it is pushed, over the length
     film: Film | None = None  # None: the frames so far, as they come; `bend` is then over the length
 
@@ -113,9 +113,7 @@ class PushCourse:
     @property
     def turn_at_push(self) -> Array:
         """(F,) rad since rest of the beam where it is pushed."""
-        places = np.append(0.0, self.marker_s)
-        turns = np.concatenate([np.zeros((len(self.turn), 1)), self.turn], axis=1)
-        return np.array([float(np.interp(s, places, turn)) for s, turn in zip(self.push_s, turns, strict=True)])
+        return at_places(self.push_s, self.marker_s, self.turn[..., None])[:, 0]
 
 
 def course_of(
@@ -126,17 +124,16 @@ def course_of(
     o, on_body = observations, tags_among(observations)
     time, xy, angle, force = o.time[frames], o.xy[frames], o.angle[frames], o.force[frames]
     rest = np.where(np.isfinite(o.rest_xy), o.rest_xy, xy[0])
-    squares = np.sum((xy - rest) ** 2, axis=-1)
-    seen = np.isfinite(squares)
-    total = np.sum(np.where(seen, squares, 0.0), axis=1)
-    away = np.sqrt(total / np.maximum(np.sum(seen, axis=1), 1))
+    at_rest = np.where(np.isfinite(o.rest_angle), o.rest_angle, 0.0)
+    since = filled(np.concatenate([xy - rest, (angle - at_rest)[..., None]], axis=-1))
+    displacement, turn = since[..., :2], since[..., 2]
+    away = np.sqrt(np.mean(np.sum(displacement**2, axis=-1), axis=1))
     largest = max(float(np.max(away)), np.finfo(float).tiny)
     bend = away / largest
     step = np.gradient(time) if len(time) > 1 else np.ones(1)
     elapsed = np.cumsum(bend * step)
     elapsed = elapsed / max(float(elapsed[-1]), np.finfo(float).tiny)
     back = np.asarray(np.arange(len(time)) > int(np.argmax(bend)), dtype=float)
-    turn = np.nan_to_num(angle - np.where(np.isfinite(o.rest_angle), o.rest_angle, 0.0))
     count = len(time) if film is None else len(film.measured)
     push_s = push_places(o)[frames]
     return PushCourse(
@@ -156,19 +153,29 @@ def course_of(
         back=with_rest(back, count),
         elapsed=with_rest(elapsed, count),
         turn=with_rest(turn, count),
-        moved=with_rest(_at_places(push_s, o.marker_s, xy - rest) / o.length, count),
+        moved=with_rest(at_places(push_s, o.marker_s, displacement) / o.length, count),
         film=film,
     )
 
 
-def _at_places(places: Array, marker_s: Array, moved: Array) -> Array:
-    """(T, 2) at places (T,), between the clamp and markers that moved by (T, m, 2), where they were seen."""
-    out = np.zeros((len(places), 2))
-    for at, s, one in zip(out, places, moved, strict=True):
-        seen = np.isfinite(one).all(axis=1)
-        known = np.append(0.0, marker_s[seen])
-        at[:] = [np.interp(s, known, np.append(0.0, column)) for column in one[seen].T]
-    return out
+def filled(moved: Array) -> Array:
+    """(T, m, n) of what m markers have moved since rest (T, m, n). Where one was not seen (NaN), it has moved in
+    proportion to the nearest one that was, by the frames that show both; as much without such a frame."""
+    out, count = moved.copy(), moved.shape[1]
+    for i in np.flatnonzero(~np.isfinite(moved).all(axis=(0, 2))):
+        for j in sorted(set(range(count)) - {int(i)}, key=lambda j: abs(j - i)):
+            one, other = moved[:, i], moved[:, j]
+            both = np.where(np.isfinite(one * other), other, 0.0)
+            squares = np.sum(both**2, axis=0)
+            share = np.where(squares > 0.0, np.sum(np.nan_to_num(one) * both, axis=0) / (squares + _SMALL), 1.0)
+            out[:, i] = np.where(np.isfinite(out[:, i]), out[:, i], share * other)
+    return np.nan_to_num(out)
+
+
+def at_places(places: Array, marker_s: Array, moved: Array) -> Array:
+    """(T, n) at places (T,), between the clamp and markers that moved by (T, m, n)."""
+    known, from_clamp = np.append(0.0, marker_s), np.pad(moved, ((0, 0), (1, 0), (0, 0)))
+    return np.array([[np.interp(s, known, c) for c in one.T] for s, one in zip(places, from_clamp, strict=True)])
 
 
 def with_rest(values: Array, count: int) -> Array:

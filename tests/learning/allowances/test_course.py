@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from onebend.learning.allowances import course_of, with_rest
+from onebend.learning.allowances import course_of, filled, with_rest
 from tests.learning.bench import SOFT, forces, observed
 
 MADE = observed(SOFT, forces(21))
@@ -35,13 +35,23 @@ def test_what_has_elapsed_grows_with_bend_and_time_up_to_one() -> None:
     assert elapsed[-1] == 1.0
 
 
-def test_tags_that_are_not_seen_do_not_count() -> None:
+def test_a_tag_that_is_not_seen_has_moved_as_the_nearest_one_says() -> None:
+    """In proportion, which a beam that bends far keeps to within some percent."""
     xy, angle = MADE.xy.copy(), MADE.angle.copy()
-    xy[::2, 0], angle[::2, 0] = np.nan, np.nan
+    xy[::2, -1], angle[::2, -1] = np.nan, np.nan
     run, whole = course_of(replace(MADE, xy=xy, angle=angle), EVERY), course_of(MADE, EVERY)
-    np.testing.assert_allclose(run.bend[1::2] / run.bend[1], whole.bend[1::2] / whole.bend[1], atol=1e-12)
-    assert np.all(run.turn[::2, 0] == 0.0)
-    assert all(np.all(np.isfinite(x)) for x in (run.bend, run.elapsed, run.turn))
+    for one, other in ((run.bend, whole.bend), (run.turn, whole.turn), (run.turn_at_push, whole.turn_at_push)):
+        np.testing.assert_allclose(one, other, atol=0.1 * np.max(np.abs(other)))
+    np.testing.assert_allclose(run.moved, whole.moved, atol=0.05)
+
+
+def test_markers_that_move_alike_are_filled_exactly_and_without_a_common_frame_as_much() -> None:
+    moved = np.linspace(0.0, 1.0, 9)[:, None, None] * np.arange(1.0, 4.0)[None, :, None] * np.ones(2)
+    hidden = moved.copy()
+    hidden[3:6, 1:] = np.nan
+    np.testing.assert_allclose(filled(hidden), moved, atol=1e-12)
+    hidden[:, 2] = np.nan
+    np.testing.assert_allclose(filled(hidden)[:3, 2], moved[:3, 1], atol=1e-12)
 
 
 def test_a_beam_that_never_moves_and_a_single_frame_are_no_error() -> None:
