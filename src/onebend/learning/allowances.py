@@ -125,8 +125,7 @@ def course_of(
     time, xy, angle, force = o.time[frames], o.xy[frames], o.angle[frames], o.force[frames]
     rest = np.where(np.isfinite(o.rest_xy), o.rest_xy, xy[0])
     at_rest = np.where(np.isfinite(o.rest_angle), o.rest_angle, 0.0)
-    since = filled(np.concatenate([xy - rest, (angle - at_rest)[..., None]], axis=-1))
-    displacement, turn = since[..., :2], since[..., 2]
+    displacement, turn = filled(xy - rest), filled((angle - at_rest)[..., None])[..., 0]
     away = np.sqrt(np.mean(np.sum(displacement**2, axis=-1), axis=1))
     largest = max(float(np.max(away)), np.finfo(float).tiny)
     bend = away / largest
@@ -523,7 +522,8 @@ def rolling_shutter(observations: Observations, frames: BoolArray, count: int) -
     `count` frames, those at rest last."""
     o = observations
     pose = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
-    speed = np.nan_to_num(np.gradient(pose, o.time, axis=0)) if len(o.time) > 1 else np.zeros_like(pose)
+    moved = filled(pose - np.nan_to_num(np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=-1)))
+    speed = np.gradient(moved, o.time, axis=0) if len(o.time) > 1 else np.zeros_like(pose)
     xy, late = np.nan_to_num(o.xy), _row(_view(o))
     shift = speed * late(xy)[..., None]
     by_x, by_y = (late(xy + step) - late(xy - step) for step in _STEP * np.eye(2))
