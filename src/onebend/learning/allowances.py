@@ -157,16 +157,19 @@ def course_of(
     )
 
 
+_LITTLE = 0.01  # of the sum of the squares of all motion: of less in common, a proportion is noise
+
+
 def filled(moved: Array) -> Array:
     """(T, m, n) of what m markers have moved since rest (T, m, n). Where one was not seen (NaN), it has moved in
-    proportion to the nearest one that was, by the frames that show both; as much without such a frame."""
+    proportion to the nearest one that was, by the frames that show both; as much where these show no motion."""
     out, count = moved.copy(), moved.shape[1]
     for i in np.flatnonzero(~np.isfinite(moved).all(axis=(0, 2))):
         for j in sorted(set(range(count)) - {int(i)}, key=lambda j: abs(j - i)):
             one, other = moved[:, i], moved[:, j]
             both = np.where(np.isfinite(one * other), other, 0.0)
-            squares = np.sum(both**2, axis=0)
-            share = np.where(squares > 0.0, np.sum(np.nan_to_num(one) * both, axis=0) / (squares + _SMALL), 1.0)
+            little = _LITTLE * np.nansum(other**2, axis=0) + _SMALL
+            share = (np.sum(np.nan_to_num(one) * both, axis=0) + little) / (np.sum(both**2, axis=0) + little)
             out[:, i] = np.where(np.isfinite(out[:, i]), out[:, i], share * other)
     return np.nan_to_num(out)
 

@@ -45,13 +45,14 @@ def test_a_tag_that_is_not_seen_has_moved_as_the_nearest_one_says() -> None:
     np.testing.assert_allclose(run.moved, whole.moved, atol=0.05)
 
 
-def test_markers_that_move_alike_are_filled_exactly_and_without_a_common_frame_as_much() -> None:
+def test_a_marker_moves_as_the_nearest_where_they_were_never_seen_to_move_together() -> None:
     moved = np.linspace(0.0, 1.0, 9)[:, None, None] * np.arange(1.0, 4.0)[None, :, None] * np.ones(2)
     hidden = moved.copy()
     hidden[3:6, 1:] = np.nan
-    np.testing.assert_allclose(filled(hidden), moved, atol=1e-12)
-    hidden[:, 2] = np.nan
-    np.testing.assert_allclose(filled(hidden)[:3, 2], moved[:3, 1], atol=1e-12)
+    np.testing.assert_allclose(filled(hidden), moved, atol=0.03)
+    hidden[1:, 2] = np.nan
+    hidden[0, 2] = 1e-3  # noise at rest
+    np.testing.assert_allclose(filled(hidden)[[1, 2, 6, 7, 8], 2], moved[[1, 2, 6, 7, 8], 1])
 
 
 def test_a_beam_that_never_moves_and_a_single_frame_are_no_error() -> None:
