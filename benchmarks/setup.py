@@ -216,7 +216,8 @@ def main() -> None:
                 goals += found
     levels = " / ".join(f"{100 * level:.0f}" for level in LEVELS)
     heads = ["effects", "benches", "goals", "tip off, median [mm]", "90 % [mm]"]
-    heads += ["the same without new noise of the log [mm]", "likewise the last tag [mm]", f"inside the {levels} % ellipse [%]"]
+    heads += ["the same without new noise of the log [mm]", "likewise the last tag [mm]"]
+    heads += [f"inside the {levels} % ellipse [%]"]
     print(f"| {' | '.join(heads)} | larger semi-axis, 95 % [mm] |")
     print("| --- " * 9 + "|")
     for cell in asked.cells:
