@@ -14,7 +14,7 @@ from onebend.errors import ObservationError, RecordingError
 from onebend.lab.bench import PushProfile
 from onebend.lab.designs import force_that_bends
 from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_virtual, virtual_recording
-from onebend.recording.camera import check_turns
+from onebend.recording.camera import with_checked_turns
 from onebend.recording.clock import fit_clock
 from onebend.recording.entries import BeamEntry, CameraEntry, TagsEntry
 from onebend.recording.folder import SECTIONS, camera_remarks, implausible
@@ -120,14 +120,14 @@ def test_milliseconds_are_named(pushed: VirtualRecording) -> None:
 @pytest.mark.parametrize("which", [0, 2])
 def test_a_tag_turned_otherwise_than_written_is_named(pushed: VirtualRecording, which: int, quarter: int) -> None:
     m, turn = pushed.markers, quarter * np.pi / 2
-    check_turns(m, pushed.recording)
+    with_checked_turns(m, pushed.recording)
     if which == 0:  # the base tag's own axes turn: so does all that is seen from it
         back = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
         m = replace(m, xy=m.xy @ back.T, angle=m.angle + turn)
     else:
         m = replace(m, angle=m.angle + turn * (m.tag_id == which))
     with pytest.raises(ObservationError) as caught:
-        check_turns(m, pushed.recording)
+        with_checked_turns(m, pushed.recording)
     fits = -90 * quarter if which == 0 else 90 * quarter
     assert f"tag {which} (turn_deg = 0; {180 if abs(fits) == 180 else fits} would fit)" in str(caught.value)
     assert str(caught.value).count("would fit") == 1

@@ -19,9 +19,10 @@ from onebend.learning.optimizer import FitSettings
 from onebend.live.live import Live, LiveSettings, LiveState
 from onebend.live.review import ENDED, Reviewed, ReviewerBeside, Seen, review
 from onebend.pipeline import learn, learn_observed
+from onebend.recording.camera import measure_markers
 from onebend.recording.entries import GravityEntry
 from onebend.recording.force import read_log
-from onebend.recording.observe import markers_of, observe_markers
+from onebend.recording.observe import observe_markers
 from onebend.recording.tag_finder import Finder
 from onebend.recording.tags import in_blocks, track_block
 from onebend.recording.video import read_frames
@@ -100,7 +101,9 @@ def test_after_the_last_frame_the_band_is_that_of_learn() -> None:
     film, finder = frames(), Finder("tag36h11")
     corners = np.concatenate([track_block(part, range(4), finder).corners for part in in_blocks(film, 32)])
     found = Detections(np.array([one.time for one in film]), np.arange(4), corners, *film[0].luma.shape[::-1])
-    whole = learn_observed(observe_markers(described(), markers_of(described(), found), log()), fitting=QUICK).posterior
+    whole = learn_observed(
+        observe_markers(described(), measure_markers(found, described()), log()), fitting=QUICK
+    ).posterior
     assert whole is not None
     (here, sd), (there, batch_sd) = run.posterior.stiffness.log_at(S), whole.stiffness.log_at(S)
     assert abs(np.median(sd / batch_sd) - 1.0) < 0.25  # of other frames

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from onebend.errors import ObservationError
 from onebend.recording import flanks, outline
-from onebend.recording.camera import measure_markers
+from onebend.recording.camera import measure_tags
 from onebend.recording.flanks import MEASURED, BodyPlace, Planes, Sight, Stations
 from onebend.recording.plane import project, to_plane
 from onebend.records import Array, BoolArray, Markers, OutlineTrack, View
@@ -278,15 +278,16 @@ def test_beside_tags_a_body_that_is_not_found_is_left_out_with_one_sentence(monk
     monkeypatch.setattr(outline, "outline_track", lost)
     rec, corners = recording(), corners_of(poses(12), view())
     seen, number = detections(corners), np.arange(12)
-    tags = measure_markers(seen, rec)
-    left = outline.with_outline(rec, tags, seen, number)
+    tags = measure_tags(seen, rec)
+    markers = tags.markers()
+    left = outline.with_outline(tags, markers, number)
     assert left.traced is None
-    assert [one.text for one in left.remarks if one not in tags.remarks] == [
+    assert [one.text for one in left.remarks if one not in markers.remarks] == [
         "The body's outline is not used beside the tags: a film: no body is seen."
     ]
     bare = replace(rec, tags=replace(rec.tags, on_beam=()))
     with pytest.raises(ObservationError, match="no body is seen"):
-        outline.with_outline(bare, tags, seen, number)
+        outline.with_outline(replace(tags, description=bare), markers, number)
 
 
 def test_between_the_frames_that_are_read_the_curve_is_not_seen() -> None:

@@ -42,7 +42,7 @@ class OnlineSettings:
     bulk: float = 3.0  # sd: a tag that fits worse gets less weight; infinite: plain least squares
     gate: float = 8.0  # sd: a tag farther from where it is expected is left out,
     patience: int = 8  # unless it is that far off in so many frames in a row
-    step: float = 0.7  # of log k: the most that one update moves it
+    step: float = 0.7  # of log k: farther from where it was linearised nothing is believed
     allowances: frozenset[str] = LIVE_ALLOWANCES  # what a real beam and bench may also do
     thickness: float | None = None  # m, of the section in the plane of bending; None: not known
     tag_size: float | None = None  # m, side of a tag's black square; None: not known

@@ -397,9 +397,6 @@ class CheckedFrame:
     gravity: Array  # (2,) m/s^2
 
 
-_FREE = np.eye(3)  # m^2, rad^2: covariance of what is not measured of an outline's point
-
-
 def checked_frame(
     traced: BoolArray,
     time: float,
@@ -431,11 +428,11 @@ def checked_frame(
     if np.any(np.isinf(measured)):
         raise LearningError(f"frame at {time:g} s: a tag at infinity; give NaN where a tag is not seen")
     visible = np.asarray(np.all(np.isfinite(measured), axis=1) & np.all(np.isfinite(spread), axis=(1, 2)))
-    spread = np.where(visible[:, None, None], spread, np.eye(3))
+    spread = np.where(visible[:, None, None], spread, _EYE)
     if traced.any():
         across = np.pad(across_of(np.where(visible, turn, 0.0), traced)[traced], ((0, 0), (0, 1)))
         only = across[:, :, None] * across[:, None]  # projects on it
-        spread[traced] = _FREE - only + only @ spread[traced] @ only
+        spread[traced] = _EYE - only + only @ spread[traced] @ only  # 1 m^2, rad^2 of what is not measured
     try:
         lower = np.linalg.cholesky(spread)
     except np.linalg.LinAlgError as error:

@@ -163,23 +163,19 @@ class OnlineLearner:
     def hyperparameters(self) -> LiveHyperparameters:
         """Sizes of the tags' noise and of the force error, as they are now."""
         noise, state = self._state.solution.process, self._state
-        load = state.hyperparameters.load
-        tags = state.marker, float(np.max(state.misfit))
+        tags, load = (state.marker, float(np.max(state.misfit))), state.hyperparameters.load
         return LiveHyperparameters(*tags, noise.white, noise.coloured, noise.tau, noise.walk, load)
 
     @property
     @one_blas_thread
     def parameters(self) -> tuple[Array, Array]:
         """(n,) and (n, n): mean and covariance of all parameters; log k's coefficients come first."""
-        self._state.catch_up()
-        mean, covariance, _ = self._state.posterior()
-        return mean, covariance
+        return self._state.posterior()[:2]
 
     @property
     @one_blas_thread
     def stiffness(self) -> UncertainStiffness:
         """k(s) with its band, as it is now; while there are `doubts`, no place of it counts as identified."""
-        self._state.catch_up()
         spline, (mean, covariance, steps) = self._session.layout.spline, self._state.posterior()
         fine, onto, p = spline.finer, spline.on_finer, spline.count
         index = np.arange(p)
@@ -196,7 +192,6 @@ class OnlineLearner:
     @property
     def doubts(self) -> tuple[str, ...]:
         """Reasons not to rely on `stiffness` as it is now; usually none."""
-        self._state.catch_up()
         return self._doubts + self._state.doubts
 
     @property

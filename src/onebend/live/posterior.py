@@ -172,7 +172,7 @@ class KeyFramePosterior:
         e[len(e) - len(error) :] = self.e[len(e) - len(error) :] - error
         few = np.concatenate([x[:p], e.ravel()])
         away, z = np.append(few, x[p:]), np.append(before.whiten(before.mean + few), x[p:] / self.model.other_sd)
-        return float(np.sqrt(z @ z + away @ self.model.form.matrix @ away))
+        return float(np.sqrt(z @ z + max(away @ self.model.form.matrix @ away, 0.0)))
 
     @property
     def effective_parameters(self) -> float:

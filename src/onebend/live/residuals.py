@@ -23,9 +23,8 @@ def tag_residuals(keys: KeyFrames, solution: KeyFramePosterior) -> Array:
     """(K, 3 m) whitened residuals of the key frames at the solution."""
     used = keys.used
     e = solution.e[len(solution.e) - used :]
-    return np.asarray(
-        keys.rows_z[:used] - keys.rows_j[:used] @ solution.x + (keys.rows_a[:used] @ e[..., None])[..., 0]
-    )
+    by_error = (keys.rows_a[:used] @ e[..., None])[..., 0]
+    return np.asarray(keys.rows_z[:used] - keys.rows_j[:used] @ solution.x + by_error)
 
 
 def counted(keys: KeyFrames, residual: Array) -> Array:
@@ -76,10 +75,8 @@ def tag_noise_size(keys: KeyFrames, residual: Array, spent: float, expected: flo
     sizes = np.sort(np.abs(r[r != 0.0]))
     most = _BULK * float(sizes[len(sizes) // 2]) / 0.6745
     left_over = max(numbers - spent, 0.3 * numbers)
-    mean_square = (float(np.sum(np.minimum(sizes, most) ** 2)) + _GUESS_COUNTS * expected**2) / (
-        left_over + _GUESS_COUNTS
-    )
-    return max(float(np.sqrt(mean_square)), 1.0 if keys.traced.all() else _LEAST)
+    squares = float(np.sum(np.minimum(sizes, most) ** 2)) + _GUESS_COUNTS * expected**2
+    return max(float(np.sqrt(squares / (left_over + _GUESS_COUNTS))), 1.0 if keys.traced.all() else _LEAST)
 
 
 def surprise(
@@ -101,8 +98,8 @@ def surprise(
     by_errors, p = (-a[:, None, :] * rows[None, :, None]).reshape(len(j), -1), solution.count
     spread = solution.spread(np.concatenate([j[:, :p], by_errors, j[:, p:]], axis=1)) + own * a @ a.T
     blocks = spread.reshape(tags, 3, tags, 3)[np.arange(tags), :, np.arange(tags)]
-    solved = np.linalg.solve(blocks + sizes[:, None, None] ** 2 * frame.covariance, innovation[..., None])[..., 0]
-    return innovation, np.sqrt(np.maximum(np.sum(innovation * solved, axis=1), 0.0))
+    inverse = np.linalg.pinv(blocks + sizes[:, None, None] ** 2 * frame.covariance, hermitian=True)
+    return innovation, np.sqrt(np.maximum(np.einsum("mi,mij,mj->m", innovation, inverse, innovation), 0.0))
 
 
 FAR_OFF = 5.0  # times the tags' noise: a larger misfit is not of the tags alone

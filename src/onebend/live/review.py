@@ -29,10 +29,11 @@ from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.learner import OnlineLearner
 from onebend.live.replayed import replay
 from onebend.progress import interrupts_held, leave_interrupts_to_parent, one_blas_thread
+from onebend.recording.camera import measure_tags, with_checked_turns
 from onebend.recording.entries import Recording
 from onebend.recording.force import find_contact
 from onebend.recording.force_log import FEWEST_ROWS, whole_log
-from onebend.recording.observe import FEWEST_FRAMES, ObserveSettings, markers_of, observe_markers
+from onebend.recording.observe import FEWEST_FRAMES, ObserveSettings, observe_markers
 from onebend.recording.outline import joined, left_out
 from onebend.recording.tags import BlockTracks, summary
 from onebend.recording.tool import SmallPictures, ToolPlace, tool_checked, tool_in_small
@@ -112,10 +113,11 @@ def _markers_in(seen: Seen) -> Markers:
         raise ObservationError(f"{len(tracks.time)} frames came so far; at least {FEWEST_FRAMES} are needed")
     tag_id = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
     found = summary(rec.video, rec.tags, tag_id, [tracks])
-    markers, outline = markers_of(rec, found), seen.outline
+    tags, outline = measure_tags(found, rec), seen.outline
+    markers = with_checked_turns(tags.markers(), rec)
     if outline is None and not rec.tags.on_beam:
         raise ObservationError(NOT_SEEN, about="outline")
-    return markers if outline is None else joined(rec, markers, found, lambda: outline.track)
+    return markers if outline is None else joined(tags, markers, lambda: outline.track)
 
 
 def log_of(rec: Recording, rows: Array) -> ForceLog | None:

@@ -61,6 +61,8 @@ def start_of(layout: Layout, start: Profile | float | UncertainStiffness) -> Sta
     return Start(x, float(np.mean(x[:p])), (x[:p], root))
 
 
+_LAST = 2.0  # posterior sd of log k, RMS: a larger step is not the last
+_MOST = 0.5  # of the tags: as many are not where they are expected because the estimate is wrong
 _MOVED = 0.5  # posterior sd: a larger distance from the linearisation point moves that point
 _MANY = 6  # key frames linearised with one frame: after more, nothing else is done in that update
 _LOOK, _LAST_LOOK = (10, 0.05), (60, 0.5)  # evaluations of the evidence, and sd: in one look, and after a push
@@ -87,11 +89,10 @@ class Smoother:
         drawn = settings.adapt and start.stiffness is None
         self._chains = StiffnessChains(spline, start.level, settings.roughness, settings.steps) if drawn else None
         self._stages, self._course = LoadStages(session.length, tags), CourseSoFar(session.course, session.terms)
-        self._spent = 0.0
-        self._turns = 0
+        self._spent, self._turns = 0.0, 0
         self._linearised = 0  # key frames linearised in the last update
         self.misfit = np.zeros(tags)  # (m,) of the markers, over their covariances; 0 while it is no more than noise
-        self._failed = False  # whether the last solution failed
+        self._failed = self._far = False  # whether the last solution failed; was too far from the linearisation point
         self._missed = ""  # what `missed_tag` returned last
         self._too_soft = False  # whether the last frame had no equilibrium
         self.pending = True  # whether a frame has come since the last solution
@@ -134,7 +135,8 @@ class Smoother:
         if keys.stale[0] and 0 not in fresh and keys.used - len(pairs) > self._settings.key_frames + 1:
             fresh.append(0)  # it is marginalised next, with the linearisation that it has then
         room = 1 if self.pending else self._settings.renewed - len(fresh) + 1
-        waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][: max(room, 0)]
+        room = i if self._far else max(room, 0)
+        waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][:room]
         solved = self._linearise([*fresh, *self._lineariser.near(keys, waiting, i)])
         self._too_soft = i not in solved
         if self._too_soft:
@@ -234,19 +236,25 @@ class Smoother:
             self._failed = True
             return False
         self._failed = False
-        step = solution.x - self.x
-        largest = max(float(np.max(np.abs(step[: self._session.layout.spline.count]))), 1e-300)
-        self.x = self.x + step * min(1.0, settings.step / largest)
+        self.x, fresh = self._within_reach(solution.x), not np.any(keys.stale[: keys.used])
+        step = (solution.x - self.point)[: solution.count]
+        last = np.mean(step**2 / np.diag(solution.solved.of_shared)) < _LAST**2
+        self._far = not last or (self._far and not fresh)
         residual = residuals.tag_residuals(keys, solution)
         if settings.adapt:
             marker = residuals.tag_noise_size(keys, residual, self._spent, settings.marker_noise)
             noise = replace(self.hyperparameters.noise[0], marker=marker)
             self.hyperparameters = replace(self.hyperparameters, noise=(noise,))
         keys.weight[: keys.used] = residuals.robust_weights(keys, residual, self.noise, settings.bulk)
-        fresh = not np.any(keys.stale[: keys.used])
         if fresh and solution.distance(keys.error[: keys.used], self.x - self.point) > _MOVED:
             self.move()
         return True
+
+    def _within_reach(self, x: Array) -> Array:
+        """Parameters on the way to x (n,), at most as far from where all is linearised as one step goes."""
+        step = x - self.point
+        largest = max(float(np.max(np.abs(step[: self._session.layout.spline.count]))), 1e-300)
+        return np.asarray(self.point + step * min(1.0, self._settings.step / largest))
 
     def _solve(self) -> KeyFramePosterior:
         """The posterior over the key frames as they are; a misfit beyond the markers' noise counts as noise."""
@@ -313,18 +321,21 @@ class Smoother:
     @property
     def doubts(self) -> tuple[str, ...]:
         """Reasons not to rely on the posterior as it is now; usually none."""
+        self.catch_up()
         self._missed = residuals.missed_tag(self.keys)
         return self.last_doubts
 
     @property
     def last_doubts(self) -> tuple[str, ...]:
         """The same, with the missed tag of the last look for one."""
-        reasons = {"live: failed": self._failed, "live: too soft": self._too_soft}
+        unsettled = self._far or np.mean(self._away > 0) > _MOST
+        reasons = {"live: failed": self._failed, "live: too soft": self._too_soft, "live: unsettled": unsettled}
         own = residuals.key_frame_doubts(self.keys, self._rough, self._missed)
         return (*(say(code) for code, holds in reasons.items() if holds), *own)
 
     def posterior(self) -> tuple[Array, Array, Array]:
         """(n,) and (n, n) of the parameters, and mean steps (p - 1,) of log k, averaged over the hyperparameters."""
+        self.catch_up()
         solution, p = self.solution, self._session.layout.spline.count
         k, covariance, steps = solution.x[:p], solution.solved.pair(0)[:p, :p], np.zeros(p - 1)
         if self._settings.adapt:
@@ -333,7 +344,7 @@ class Smoother:
             of_others = replace(evidence, spread=evidence.spread[: len(SPREAD)])  # the white part keeps its size
             stiffness = averaged_stiffness(of_others, at_nodes(of_others, sizes, [{}]), _DRAWS, sizes.chains)
             k, covariance, steps = stiffness.mean, stiffness.covariance, stiffness.steps
-        x, covariance = solution.given_stiffness(k), solution.covariance(covariance)
+        x, covariance = self._within_reach(solution.given_stiffness(k)), solution.covariance(covariance)
         return *self._lineariser.secant(self.keys, self.point, x, covariance), steps
 
     @property

@@ -48,12 +48,7 @@ def part(poses: Poses, tags: slice) -> Poses:
 
 
 def measure_poses(
-    view: View,
-    corners: Array,
-    size: float,
-    *,
-    noise: float | None = None,
-    refinements: int = 3,
+    view: View, corners: Array, size: float, *, noise: float | None = None, refinements: int = 3
 ) -> tuple[Poses, Array, View]:
     """Pose of each sighting in the plane, its misfit (RMS residual, px), and the view with the corners' noise.
 
@@ -258,13 +253,59 @@ def motion_remarks(pose: Poses, moving: bool, expected: bool) -> list[Remark]:
 FARTHEST = 99.0  # percentile of the distances that counts as the largest
 
 
-def measure_markers(detections: Detections, description: Recording, outline: OutlineTrack | None = None) -> Markers:
-    """Pose of every beam tag relative to the base, per frame.
+def measure_markers(detections: Detections, description: Recording) -> Markers:
+    """Pose of every beam tag relative to the base, per frame; raises as `measure_tags`."""
+    return measure_tags(detections, description).markers()
+
+
+@dataclass(frozen=True)
+class MeasuredTags:
+    """The tags of a recording in their plane."""
+
+    detections: Detections
+    description: Recording
+    plane: PlaneFit
+    view: View  # with the corners' noise
+    origin: Poses  # (T, 1) of the base
+    relative: Poses  # (T, m) of the beam's tags to it
+    remarks: tuple[Remark, ...]
+
+    def markers(self, outline: OutlineTrack | None = None) -> Markers:
+        """The beam's tags, and points of the body's `outline` in the same frames, which lie as high as the tags beside
+        them; markers rise in s then."""
+        detections, tags, relative, origin = self.detections, self.description.tags, self.relative, self.origin
+        first = int(np.flatnonzero(np.isfinite(origin.angle))[0])
+        s, tag_id, traced = np.array([tag.s for tag in tags.on_beam]), detections.tag_id[len(tags.on_base) :], None
+        if outline is not None:
+            height = height_along(self.view, tags, outline.s)
+            points = relative_to(origin, points_in_plane(self.view, outline, height))
+            pairs = zip(vars(relative).values(), vars(points).values(), strict=True)
+            relative = Poses(*(np.concatenate(both, axis=1) for both in pairs))
+            traced = np.arange(len(s) + len(outline.s)) >= len(s)
+            tag_id = np.concatenate([tag_id, POINT_ID + np.rint(1e3 * outline.s).astype(int)])
+            s = np.concatenate([s, outline.s])
+        order = np.arange(len(s)) if traced is None else np.argsort(s, kind="stable")
+        return Markers(
+            time=detections.time,
+            tag_id=tag_id[order],
+            s=s[order],
+            xy=relative.xy[:, order],
+            angle=unwrap(relative.angle)[:, order],
+            covariance=relative.covariance[:, order],
+            base_angle=unwrap(origin.angle[:, 0] - origin.angle[first, 0]),
+            view=view_of(self.view, origin.xy[first, 0], float(origin.angle[first, 0])),
+            remarks=(*self.remarks, *(() if outline is None else outline.remarks)),
+            by_camera=by_camera(self.plane, detections.corners, tags, outline)[:, order],
+            traced=None if traced is None else traced[order],
+        )
+
+
+def measure_tags(detections: Detections, description: Recording) -> MeasuredTags:
+    """The tags' plane, and the pose of each of them in it, per frame.
 
     Tags lie near one plane, each at a height and a tilt of its own, and the camera stands still. A tag's pose is that
     of the square whose projected corners are nearest to the detected ones. The corners' noise comes from the residuals
-    of the whole recording. Points of the body's `outline` in the same frames lie as high as the tags beside them;
-    markers rise in s then.
+    of the whole recording.
 
     Raises:
         RecordingError: the calibration is of another picture size.
@@ -288,39 +329,9 @@ def measure_markers(detections: Detections, description: Recording, outline: Out
     origin, moving = base_pose(part(poses, slice(base)), tags.on_base, description.beam.length)
     relative = relative_to(origin, part(poses, slice(base, None)))
     check_lengths(relative.xy, description)
-    first = int(np.flatnonzero(np.isfinite(origin.angle))[0])
-    s, tag_id, traced = np.array([tag.s for tag in tags.on_beam]), detections.tag_id[base:], None
-    if outline is not None:
-        height = height_along(view, description.tags, outline.s)
-        points = relative_to(origin, points_in_plane(view, outline, height))
-        pairs = zip(_fields(relative), _fields(points), strict=True)
-        relative = Poses(*(np.concatenate(both, axis=1) for both in pairs))
-        traced = np.arange(len(s) + len(outline.s)) >= len(s)
-        tag_id = np.concatenate([tag_id, POINT_ID + np.rint(1e3 * outline.s).astype(int)])
-        s = np.concatenate([s, outline.s])
-    order = np.arange(len(s)) if traced is None else np.argsort(s, kind="stable")
-    return Markers(
-        time=detections.time,
-        tag_id=tag_id[order],
-        s=s[order],
-        xy=relative.xy[:, order],
-        angle=unwrap(relative.angle)[:, order],
-        covariance=relative.covariance[:, order],
-        base_angle=unwrap(origin.angle[:, 0] - origin.angle[first, 0]),
-        view=view_of(view, origin.xy[first, 0], float(origin.angle[first, 0])),
-        remarks=(
-            *detections.remarks,
-            *wrong_remarks(detections, wrong),
-            *motion_remarks(origin, moving, description.gravity is not None),
-            *(() if outline is None else outline.remarks),
-        ),
-        by_camera=by_camera(plane, detections.corners, description.tags, outline)[:, order],
-        traced=None if traced is None else traced[order],
-    )
-
-
-def _fields(poses: Poses) -> tuple[Array, Array, Array]:
-    return poses.xy, poses.angle, poses.covariance
+    moved = motion_remarks(origin, moving, description.gravity is not None)
+    remarks = (*detections.remarks, *wrong_remarks(detections, wrong), *moved)
+    return MeasuredTags(detections, description, plane, view, origin, relative, remarks)
 
 
 def height_along(view: View, tags: TagsEntry, s: Array) -> Array:
@@ -465,8 +476,9 @@ def wrong_remarks(detections: Detections, wrong: BoolArray) -> list[Remark]:
 NEAREST = 0.05  # of the beam: the chord of tags nearer to each other gives no direction
 
 
-def check_turns(markers: Markers, rec: Recording) -> None:
-    """An error where a tag points across the beam, or backwards, in most frames, by the chords to its neighbours."""
+def with_checked_turns(markers: Markers, rec: Recording) -> Markers:
+    """The same markers. An error where a tag points across the beam, or backwards, in most frames, by the chords to its
+    neighbours."""
     order = np.argsort(markers.s, kind="stable")
     order = order[markers.s[order] > NEAREST]
     ids = [rec.tags.on_base[0].id, *markers.tag_id[order].tolist()]
@@ -474,13 +486,13 @@ def check_turns(markers: Markers, rec: Recording) -> None:
     s = np.concatenate([[0.0], markers.s[order]])
     complete = np.isfinite(places).all(axis=(1, 2))
     if not complete.any() or len(s) < 2 or np.any(np.diff(s) < NEAREST):
-        return
+        return markers
     tag_angle = np.concatenate([np.zeros((len(markers.time), 1)), markers.angle[:, order]], axis=1)[complete]
     off = np.angle(np.exp(1j * (tag_angle - directions(places[complete]))))
     # Between a tag and the beam there: bending does not make that in most frames.
     wrong = np.median(np.cos(off), axis=0) < np.cos(np.deg2rad(60.0))
     if not wrong.any():
-        return
+        return markers
     written = {tag.id: tag.turn for tag in (*rec.tags.on_base, *rec.tags.on_beam)}
     wrong_tags = []
     for i in np.flatnonzero(wrong):

@@ -14,7 +14,7 @@ from onebend.options import option
 from onebend.progress import Progress, Silent, one_blas_thread
 from onebend.recording import tracks
 from onebend.recording.beam_frame import BaseLog, RestShape, gravity_in_frame, read_base_log, rest_shape, to_beam_frame
-from onebend.recording.camera import check_turns, measure_markers
+from onebend.recording.camera import measure_markers, measure_tags, with_checked_turns
 from onebend.recording.clock_features import ClockSettings
 from onebend.recording.entries import Recording, TagsEntry, VideoEntry
 from onebend.recording.folder import FILE_NAME, read_recording
@@ -44,7 +44,6 @@ from onebend.records import (
     ForceLog,
     Markers,
     Observations,
-    OutlineTrack,
     Source,
     of_markers,
     read_before_fit,
@@ -129,10 +128,11 @@ def _shown(
     if detections is None:
         detections = detect(rec.video, rec.tags, threads=settings.threads, progress=progress)
     searched, number = detections.of_searched()
-    markers = markers_of(rec, searched)
+    tags = measure_tags(searched, rec)
+    markers = with_checked_turns(tags.markers(), rec)
     if rec.traces_outline:
         frames = KeptFrames() if frames is None else frames
-        markers = with_outline(rec, markers, searched, number, kept=frames, progress=progress)
+        markers = with_outline(tags, markers, number, kept=frames, progress=progress)
     seen = assemble(rec, markers, log, base, settings)
     base_angle = markers.base_angle[seen.frame]
     seen = replace(seen, frame=number[seen.frame])
@@ -140,13 +140,6 @@ def _shown(
         return seen
     every = spacing_of(len(detections.time), detections.width * detections.height)
     return tool_checked(rec, seen, base_angle, partial(tool_in_film, rec, every=every, kept=frames))
-
-
-def markers_of(rec: Recording, detections: Detections, outline: OutlineTrack | None = None) -> Markers:
-    """The tags in metres, turned as recording.toml says, and points of the outline in the same frames."""
-    markers = measure_markers(detections, rec, outline)
-    check_turns(markers, rec)
-    return markers
 
 
 def observe_markers(

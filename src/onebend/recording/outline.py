@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, track
-from onebend.recording.camera import measure_markers
+from onebend.recording.camera import MeasuredTags
 from onebend.recording.entries import Recording
 from onebend.recording.flanks import (
     LEAST,
@@ -49,7 +49,7 @@ from onebend.recording.plane import project
 from onebend.recording.signals import MAD_TO_SD, correlation_time, nan_mean, nan_median, running_median
 from onebend.recording.tags import in_order
 from onebend.recording.video import KeptFrames, timed
-from onebend.records import Array, BoolArray, Detections, IntArray, Markers, OutlineTrack, Remark, View
+from onebend.records import Array, BoolArray, IntArray, Markers, OutlineTrack, Remark, View
 
 # The film: each picture is searched near where the two before predict the body.
 
@@ -437,48 +437,48 @@ APART = 1.5  # times its own sds: tags curl and lie at heights of their own, so 
 
 
 def with_outline(
-    rec: Recording,
+    tags: MeasuredTags,
     markers: Markers,
-    detections: Detections,
     number: IntArray,
     *,
     apart: bool = False,
     kept: KeptFrames | None = None,
     progress: Progress = Silent(),
 ) -> Markers:
-    """The `markers` of these detections, in frames of this `number`, with points of the body's outline; a note where
-    there are tags that the outline does not agree with, and it is left out. `kept` as of `outline_track`.
+    """The `markers` of these tags, in frames of this `number`, with points of the body's outline; a note where there
+    are tags that the outline does not agree with, and it is left out. `kept` as of `outline_track`.
 
     Raises:
         RecordingError, ObservationError: as `outline_track`, the second without tags on the body.
     """
-    assert markers.view is not None
-    base = detections.corners[:, : len(rec.tags.on_base)]
+    rec, corners = tags.description, tags.detections.corners
     each = math.ceil(len(number) / MOST_READ) if rec.tags.on_beam and not apart else 1
     read = np.arange(0, len(number), each)
+    base = corners[read, : len(rec.tags.on_base)]
     of_read = replace(markers, xy=markers.xy[read], angle=markers.angle[read]) if rec.tags.on_beam else None
 
     def found() -> OutlineTrack:
         assert markers.view is not None
         few = outline_track(
-            rec, markers.view, base[read], number[read], tags=of_read, apart=apart, kept=kept, progress=progress
+            rec, markers.view, base, number[read], tags=of_read, apart=apart, kept=kept, progress=progress
         )
         outline = spread_over(few, read, len(number))
-        hung: BoolArray = ~np.asarray(np.isfinite(detections.corners).any(axis=(1, 2, 3)))
+        hung: BoolArray = ~np.asarray(np.isfinite(corners).any(axis=(1, 2, 3)))
         return replace(outline, sd=np.where(hung[:, None], np.nan, outline.sd))
 
-    return joined(rec, markers, detections, found)
+    return joined(tags, markers, found)
 
 
-def joined(rec: Recording, markers: Markers, detections: Detections, found: Callable[[], OutlineTrack]) -> Markers:
-    """The `markers` of these detections with the points of the outline that is `found` in the same frames; raises, and
-    leaves it out, as `with_outline`."""
+def joined(tags: MeasuredTags, markers: Markers, found: Callable[[], OutlineTrack]) -> Markers:
+    """The `markers` of these tags with the points of the outline that is `found` in the same frames; raises, and leaves
+    it out, as `with_outline`."""
+    rec = tags.description
     if rec.tags.on_beam and np.max(np.abs(markers.base_angle)) > TURNED:
         return replace(markers, remarks=(*markers.remarks, left_out("the clamp turns in the picture")))
     try:
         outline = found()
         sd = (APART if rec.tags.on_beam else 1.0) * outline.sd
-        both = measure_markers(detections, rec, replace(outline, sd=sd))
+        both = tags.markers(replace(outline, sd=sd))
         doubt = contradicted(both, rec)
     except ObservationError as wrong:
         if not rec.tags.on_beam:

@@ -19,7 +19,7 @@ from scipy.interpolate import PchipInterpolator
 from onebend.errors import ObservationError, RecordingError
 from onebend.progress import Progress, Silent, track
 from onebend.recording.beam_frame import MOUNTING_SD, to_beam_frame
-from onebend.recording.camera import measure_markers, points_in_plane
+from onebend.recording.camera import measure_tags, points_in_plane
 from onebend.recording.entries import Recording
 from onebend.recording.flanks import (
     MEASURED,
@@ -170,10 +170,11 @@ def measured(
     found = []
     for part in parts:
         some = replace(detections, time=detections.time[part], corners=detections.corners[part])
-        one = measure_markers(some, rec)
+        tags = measure_tags(some, rec)
+        one = tags.markers()
         if trace is not None:
             views = zip(range(count)[part], base_views(rec, one, some.corners[:, 0]), strict=True)
-            one = measure_markers(some, rec, joined([trace(i, view) for i, view in views]))
+            one = tags.markers(joined([trace(i, view) for i, view in views]))
         found.append(with_camera_as_noise(one))
     remarks = {remark.text: remark for one in found for remark in one.remarks}.values()
     return replace(

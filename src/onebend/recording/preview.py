@@ -11,7 +11,7 @@ import numpy as np
 
 from onebend.errors import OnebendError, told
 from onebend.progress import available_cores
-from onebend.recording.camera import check_turns, measure_markers
+from onebend.recording.camera import measure_tags, with_checked_turns
 from onebend.recording.entries import Recording, VideoEntry
 from onebend.recording.outline import with_outline
 from onebend.recording.tag_finder import Finder, Sighting
@@ -83,11 +83,11 @@ def look_at(rec: Recording, *, count: int = LOOKS) -> Preview:
         remarks += unseen_remarks(ids, share, len(looked))
         time = np.array([frame.time for frame in looked])
         detections = Detections(time, np.array(ids), corners, width, height, ())
-        markers = measure_markers(detections, rec)
-        check_turns(markers, rec)
+        tags = measure_tags(detections, rec)
+        markers = with_checked_turns(tags.markers(), rec)
         if rec.traces_outline and markers.view is not None:
             numbers = np.array([frame.index for frame in looked])
-            markers = with_outline(rec, markers, detections, numbers, apart=True)
+            markers = with_outline(tags, markers, numbers, apart=True)
         few = of_markers(markers, read_before_fit(markers))
         tool = tool_in([frame.luma for frame in looked], rec, few, bent(few))
         remarks += tool_remarks(tool, rec)

@@ -145,10 +145,12 @@ def _reach(where: BoolArray) -> BoolArray:
 
 def _places(axes: Axes, tags: Mapping[int, float], push_s: float | None) -> None:
     count, words = len(tags), axis_words(list(tags)) if tags else []
+    worded = [i for i, text in enumerate(words) if text]
+    shown = {worded[i] for i in named(len(worded))}
     for i, (text, place) in enumerate(zip(words, tags.values(), strict=True)):
         tint = hue_of(i, count)
         axes.plot(place, 0.0, marker=shape(i), color=tint, markersize=7, clip_on=False, zorder=5)
-        if i in named(count):
+        if i in shown:
             axes.annotate(text, (place, 0.0), (0, 7), textcoords="offset points", ha="center", color=tint, fontsize=8.5)
     if push_s is not None and push_s < 0.999:
         axes.axvspan(push_s, 1.0, facecolor="none", edgecolor=FAINT, hatch="///", linewidth=0)

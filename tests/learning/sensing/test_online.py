@@ -41,6 +41,15 @@ def test_a_place_that_is_sought_is_followed() -> None:
     assert all(abs(one.place - 0.72) < max(3.0 * one.place_sd, 0.01) for one in strong)
 
 
+def test_the_grids_of_single_frames_that_are_kept_are_bounded_and_serve_again() -> None:
+    o = observed(SOFT, forces(2), noise=(2e-5, 1e-3))
+    bench, one = bench_of(SOFT, o, None, None, KNOWN), np.array([0])
+    for place in np.linspace(0.3, 0.9, 200):
+        last = bench.at(one, np.array([place]))
+    assert len(bench.memory.made) < 50
+    assert bench.at(one, np.array([0.9])).problem is last.problem
+
+
 def test_a_frame_that_shows_nothing_tells_nothing_and_the_next_one_does() -> None:
     o = observed(SOFT, forces(4), noise=(3e-5, 1e-3))
     xy = o.xy.copy()

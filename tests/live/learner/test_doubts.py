@@ -10,13 +10,16 @@ import pytest
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Uniform
 from onebend.errors import LearningError
+from onebend.live import residuals
 from onebend.live.hyperparameters import OnlineSettings
-from onebend.live.key_frames import KeyFrames
+from onebend.live.key_frames import KeyFrames, checked_frame
 from onebend.live.learner import OnlineLearner
 from onebend.live.posterior import KeyFrameModel, KeyFramePosterior
+from onebend.live.replayed import live_frames, settings_for
 from onebend.records import Array
 from onebend.report.sentences import say
 from tests.learning.bench import MARKERS, SOFT, forces, observed
+from tests.learning.test_outline_fit import beside_tags
 from tests.live.streamed_recording import NOISE, S, shown
 
 FEW = OnlineSettings(functions=8)
@@ -93,12 +96,41 @@ def test_tags_that_the_estimate_misses_are_said() -> None:
     size = np.linalg.norm(forces(60), axis=1)
     made = observed(SOFT, size[:, None] * np.array([np.cos(3.0), np.sin(3.0)]), noise=NOISE, seed=2)
     lost = OnlineLearner(made.length, MARKERS, 5e-4, settings=FEW)
-    last = shown(lost, made, range(20, 60))[-1]
-    assert any("misses tag" in words for words in last.doubts)
+    shown(lost, made, range(20, 60))
+    assert any("misses tag" in words for words in lost.doubts)
     assert not np.any(lost.stiffness.band(S).identified)
     near = OnlineLearner(made.length, MARKERS, 0.03, settings=FEW)
     assert shown(near, made, range(20, 60))[-1].doubts == ()
     assert np.any(near.stiffness.band(S).identified)
+
+
+@pytest.mark.parametrize("first", [0, 25])
+@pytest.mark.parametrize("times", [0.03, 0.1, 10.0, 30.0])
+def test_begun_far_off_it_ends_near_the_truth_and_is_not_wrong_before_without_a_word(first: int, times: float) -> None:
+    """From the rest, and in the middle of a push; root mean squares over the beam."""
+    made, log_k = beside_tags(), np.log(SOFT.stiffness(S))
+    start, settings = times * np.exp(np.mean(log_k)), settings_for(made)
+    learner = OnlineLearner(made.length, made.marker_s, start, traced=made.traced, settings=settings)
+    for number, frame in enumerate(live_frames(made)[first:]):
+        learner.update(**vars(frame))
+        if number % 3 == 0:
+            mean, sd = learner.stiffness.log_at(S)
+            assert learner.doubts or np.sqrt(np.mean(((mean - log_k) / sd) ** 2)) < 2.5
+    assert np.sqrt(np.mean((learner.stiffness.log_at(S)[0] - log_k) ** 2)) < 0.1
+
+
+def test_an_estimate_whose_error_drowns_the_noise_of_the_tags_is_no_singular_equation() -> None:
+    made = observed(SOFT, forces(20), noise=NOISE, seed=3)
+    learner = OnlineLearner(made.length, MARKERS, 0.03, settings=FEW)
+    shown(learner, made, range(20))
+    state, keys = learner._state, learner._state.keys
+    seen = made.xy[-1], made.angle[-1], made.covariance[-1], made.force[-1], 1.0, True, np.zeros(2)
+    frame = checked_frame(keys.traced, 1.0, *seen)
+    keys.linear[keys.used - 1] = 0.0
+    keys.j[keys.used - 1, :, :, 0] = 1e9  # all coordinates of a tag are off alike, and by far
+    nothing = np.zeros(len(state.solution.e)), 0.0
+    _, distance = residuals.surprise(keys, frame, state.solution, state.x, state.sizes, nothing)
+    assert np.isfinite(distance).all()
 
 
 def test_a_fit_in_doubt_stays_so() -> None:

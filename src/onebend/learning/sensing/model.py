@@ -7,6 +7,7 @@ components [N] of a force, and may be followed by the moment [N m] that acts at 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from onebend.beam.continuation import ContinuationSettings
 from onebend.beam.grid import Grid, Modes, places, positions
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
-from onebend.beam.problem import has_mass, make_problem, share_farther
+from onebend.beam.problem import GridMemory, has_mass, make_problem, share_farther
 from onebend.beam.setup import SetUp
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
@@ -68,7 +69,7 @@ class Bench:
     ways: Array  # (c, p) of the c coefficients of log k, each way of variance 1
     mean: Array  # (n,)
     root: Array  # (n, r)
-    memory: dict[tuple[float, ...], FitData] = field(default_factory=dict, compare=False)  # of single frames
+    memory: GridMemory = field(default_factory=GridMemory, compare=False)  # of single frames: one grid serves many
 
     @property
     def columns(self) -> dict[str, slice]:
@@ -125,12 +126,8 @@ class Bench:
         one grid a frame, of as many panels wherever the places are, with an edge near its place."""
         edge = np.clip(_EDGES * np.round(place / _EDGES), INNERMOST, 1.0) if apart else place
         key = len(self.seen), *frames.tolist(), *edge.tolist(), apart
-        if len(frames) > 1:
-            data = self._on_grid(frames, edge, apart)
-        elif key in self.memory:
-            data = self.memory[key]
-        else:  # as frames come, one grid serves many
-            data = self.memory[key] = self._on_grid(frames, edge, apart)
+        make = partial(self._on_grid, frames, edge, apart)
+        data = make() if len(frames) > 1 else self.memory.once(key, make)
         return replace(
             data,
             measured=self.seen[frames],
