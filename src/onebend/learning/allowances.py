@@ -398,9 +398,8 @@ LENGTH_SD = 0.005  # of the length
 
 
 def length(course: PushCourse) -> Allowance:  # noqa: ARG001 - as its sisters
-    """The log of the length, over what is written."""
-    sd = np.array([LENGTH_SD])
-    return Allowance("length", "length", "1", ("log of length",), sd, shared=True, sizes=TOLERATED)
+    """The log of the length, over what is written: measured anew on every bench, it is exact by chance alone."""
+    return Allowance("length", "length", "1", ("log of length",), np.array([LENGTH_SD]), shared=True)
 
 
 # Each recording has a k(s) of its own around that of the beam, because mounting (clamp, set and temper of the material)

@@ -308,7 +308,8 @@ def setup_of(posterior: Posterior) -> SetUp | None:
             covariance = np.pad(covariance, (0, len(before)))
             slope = np.pad(slope, ((0, len(before)), (0, 0)))
     stated = o.stated.thickness
-    left_over = _discrepancy(posterior.recordings, posterior.optimum.hyperparameters)
+    scales = posterior.optimum.hyperparameters
+    left_over = _discrepancy(posterior.recordings, scales)
     return SetUp(
         push_s=float(data.push_s[largest]),
         force=(float(data.force[largest, 0]), float(data.force[largest, 1])),
@@ -319,7 +320,7 @@ def setup_of(posterior: Posterior) -> SetUp | None:
         slope=slope,
         covariance=0.5 * (covariance + covariance.T),
         prior_sd=np.concatenate(prior_sd),
-        force_sd=float(np.hypot(_slow_error(posterior, number), posterior.optimum.hyperparameters.noise[number].force)),
+        force_sd=float(np.hypot(_slow_error(posterior, number, largest), scales.noise[number].force)),
         discrepancy=left_over[0],
         angle_discrepancy=left_over[1],
         times=tuple(TIMES.tolist()) if "relaxation" in sizes else (),
@@ -361,9 +362,10 @@ def _force_error_rows(posterior: Posterior, number: int, terms: Array) -> tuple[
     return slice(first, last), weights, prior_sd
 
 
-def _slow_error(posterior: Posterior, number: int) -> float:
-    """N, sd of the slow error of the log in a push, after the sensor was zeroed at rest."""
+def _slow_error(posterior: Posterior, number: int, frame: int) -> float:
+    """N, sd of the slow error of the log in this frame of a push, after the sensor was zeroed in the rest before."""
     own, h = posterior.recordings[number].error, posterior.optimum.hyperparameters
-    since_rest = own.weights - (np.mean(own.rest_weights, axis=0) if len(own.rest_weights) else 0.0)
-    covariance = own.covariance(h.coloured, h.memory, h.walk, h.load)
-    return float(np.sqrt(np.mean(np.sum(since_rest @ covariance * since_rest, axis=1))))
+    now = own.weights[frame]
+    before = own.rest_weights[own.rest_weights @ own.knots < now @ own.knots]  # the splines sum to the time, too
+    since_rest = now - (np.mean(before, axis=0) if len(before) else 0.0)
+    return float(np.sqrt(since_rest @ own.covariance(h.coloured, h.memory, h.walk, h.load) @ since_rest))

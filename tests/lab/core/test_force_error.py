@@ -90,6 +90,16 @@ def test_the_set_up_carries_none_of_it_into_another_push(found: Posterior) -> No
     assert setup.force_sd > 0.05 * PEAK
 
 
+def test_a_push_to_come_is_zeroed_in_the_rest_before_it_alone(found: Posterior) -> None:
+    walks = replace(found.optimum.hyperparameters, coloured=1e-3, walk=1.0, load=0.0)
+    setup = setup_of(replace(found, optimum=replace(found.optimum, hyperparameters=walks)))
+    assert setup is not None
+    push, own = BENCH.push, found.recordings[0].error.noise
+    low, high = (own.walk * np.sqrt(seconds) for seconds in (push.rise, push.before + push.rise + push.hold))
+    walked = np.sqrt(setup.force_sd**2 - walks.noise[0].force ** 2)
+    assert low < walked < high  # with the rest after it, too, it would be known better than at its largest force
+
+
 def test_a_sensor_without_such_an_error_stays_sharp(found: Posterior) -> None:
     clean = fit([seen(stepped(np.zeros((2, 2))))], 0.02, settings=IDEAL)
     assert clean.optimum.hyperparameters.load * clean.recordings[0].error.noise.load < 0.01 * PEAK
