@@ -26,7 +26,7 @@ import numpy as np
 from benchmarks.film_tags import twins_table
 from benchmarks.markers import errors
 from benchmarks.truth import Truth, parser_of, read_truth
-from onebend.beam.stiffness import half_width
+from onebend.beam.stiffness import Band, half_width
 from onebend.errors import OnebendError
 from onebend.lab.filming import Filming, film
 from onebend.lab.random_bench import LABORATORY, BenchRanges, random_bench
@@ -39,7 +39,7 @@ from onebend.recording.entries import TagsEntry, VideoEntry
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings
 from onebend.recording.tags import detect_tags
-from onebend.records import Detections
+from onebend.records import Array, BoolArray, Detections
 
 SMOOTH = 12.0  # of the slope of log k over s: steeper are steps and joints, which a smooth prior rounds off
 VAGUE = 0.1  # of the peak: a force no better known than this
@@ -74,6 +74,7 @@ class Run:
     claimed: float = 0.0
     seen: float = 0.0  # share of tags
     inside: float = 0.0  # share of the identified places
+    inside_narrow: tuple[float, ...] = (np.nan, np.nan)  # that of the 50 and the 80 % band
     inside_all: float = 0.0  # share of all places, identified or not
     identified: float = 0.0  # share of the places
     error: float = 0.0  # RMS of log k over the identified places
@@ -141,13 +142,15 @@ def learned(filming: Filming, folder: Path, seed: int) -> Run:
 def against(made: Run, posterior: Posterior, truth: Truth) -> Run:
     """A run with its band compared with the true k(s)."""
     band, k = posterior.band(S), np.interp(S, truth.s, truth.k)
-    held = (band.low <= k) & (k <= band.high)
-    known = band.identified
+    held, known = _held(band, k), band.identified
     sd = np.log(band.high / band.low) / (2.0 * half_width(1.0))
     some = bool(known.any())
     return replace(
         made,
         inside=float(held[known].mean()) if some else float("nan"),
+        inside_narrow=tuple(
+            float(_held(posterior.band(S, level), k)[known].mean()) if some else float("nan") for level in (0.5, 0.8)
+        ),
         inside_all=float(held.mean()),
         identified=float(known.mean()),
         error=float(np.sqrt(np.mean(np.log(band.k[known] / k[known]) ** 2))) if some else float("nan"),
@@ -155,10 +158,14 @@ def against(made: Run, posterior: Posterior, truth: Truth) -> Run:
     )
 
 
-def study(runs: int, jobs: int, kept: Path, effects: bool = False) -> list[Run]:
-    """Runs 0 to `runs` - 1; those in the file `kept` are not made again, each new one is added to it."""
+def _held(band: Band, k: Array) -> BoolArray:
+    return np.asarray((band.low <= k) & (k <= band.high))
+
+
+def study(seeds: range, jobs: int, kept: Path, effects: bool = False) -> list[Run]:
+    """Runs of these seeds; those in the file `kept` are not made again, each new one is added to it."""
     done = {one.seed: one for one in read(kept)}
-    wanted = [seed for seed in range(runs) if seed not in done]
+    wanted = [seed for seed in seeds if seed not in done]
     if wanted:
         kept.parent.mkdir(parents=True, exist_ok=True)
         os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes that start now
@@ -173,7 +180,7 @@ def study(runs: int, jobs: int, kept: Path, effects: bool = False) -> list[Run]:
                 done[one.seed] = one
                 file.write(json.dumps(asdict(one)) + "\n")
                 file.flush()
-    return [done[seed] for seed in sorted(done) if seed < runs]
+    return [done[seed] for seed in sorted(done) if seed in seeds]
 
 
 def read(kept: Path) -> list[Run]:
@@ -182,16 +189,17 @@ def read(kept: Path) -> list[Run]:
     for line in kept.read_text(encoding="utf-8").splitlines() if kept.is_file() else []:
         with contextlib.suppress(json.JSONDecodeError):
             data: dict[str, Any] = json.loads(line)
-            found.append(Run(**{**data, "warnings": tuple(data["warnings"])}))
+            lists = {name: tuple(value) for name, value in data.items() if isinstance(value, list)}
+            found.append(Run(**{**data, **lists}))
     return found
 
 
 def study_table(runs: Sequence[Run]) -> str:
     """A row a sensor, and one for those without a warning."""
     lines = [
-        "| films | runs | not learned | inside the 95 % band | identified | error of log k (median) "
-        "| claimed sd (median) | place [mm] (median) | angle [deg] (median) | claimed chi^2 | learn [s] |",
-        "| " + "--- | " * 11,
+        "| films | runs | not learned | inside the 50, 80 % band | inside the 95 % band | identified "
+        "| error of log k (median) | claimed sd (median) | place [mm] (median) | angle [deg] (median) | claimed chi^2 | learn [s] |",
+        "| " + "--- | " * 12,
     ]
     groups = {"all": list(runs)}
     groups |= {"k(s) smooth": [one for one in runs if one.steepest < SMOOTH and not one.failure]}
@@ -206,13 +214,15 @@ def study_table(runs: Sequence[Run]) -> str:
         if not len(share):
             continue
         identified = 100 * np.mean([one.identified for one in good])
+        narrow = 100.0 * np.nanmean([one.inside_narrow for one in good], axis=0)
         spread = share.std(ddof=1) / np.sqrt(len(share)) if len(share) > 1 else float("nan")
         middle = {
             key: float(np.nanmedian([getattr(one, key) for one in good]))
             for key in ("error", "width", "place", "angle", "claimed", "learn_seconds")
         }
         lines.append(
-            f"| {name} | {len(group)} | {len(group) - len(good)} | {100 * share.mean():.1f} ± {100 * spread:.1f} % "
+            f"| {name} | {len(group)} | {len(group) - len(good)} | {narrow[0]:.0f}, {narrow[1]:.0f} % "
+            f"| {100 * share.mean():.1f} ± {100 * spread:.1f} % "
             f"| {identified:.0f} % | {middle['error']:.3f} | {middle['width']:.3f} "
             f"| {1e3 * middle['place']:.4f} | {np.degrees(middle['angle']):.4f} | {middle['claimed']:.2f} "
             f"| {middle['learn_seconds']:.0f} |"
@@ -255,13 +265,14 @@ def odd_runs(runs: Iterable[Run]) -> str:
 def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--runs", type=int, default=50)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first run")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--effects", action="store_true", help="draw the effects of real benches too")
     parser.add_argument("--kept", type=Path, help=f"file that the runs are added to; default: one of {KEPT}")
     parser.add_argument("--no-twins", action="store_true", help="leave out the films of the named designs")
     asked = parser.parse_args()
     kept = asked.kept or KEPT / ("runs-effects.jsonl" if asked.effects else "runs.jsonl")
-    runs = study(asked.runs, asked.jobs, kept, asked.effects)
+    runs = study(range(asked.first, asked.first + asked.runs), asked.jobs, kept, asked.effects)
     print(study_table(runs))
     print(f"\nEvery run:\n\n{runs_table(runs)}")
     print(f"\nRuns to look at:\n\n{odd_runs(runs)}")
