@@ -198,7 +198,8 @@ def study_table(runs: Sequence[Run]) -> str:
     """A row a sensor, and one for those without a warning."""
     lines = [
         "| films | runs | not learned | inside the 50, 80 % band | inside the 95 % band | identified "
-        "| error of log k (median) | claimed sd (median) | place [mm] (median) | angle [deg] (median) | claimed chi^2 | learn [s] |",
+        "| error of log k (median) | claimed sd (median) | place [mm] (median) | angle [deg] (median) | claimed chi^2 "
+        "| learn [s] |",
         "| " + "--- | " * 12,
     ]
     groups = {"all": list(runs)}
