@@ -72,7 +72,8 @@ def contacts(strips: Sequence[ToolStrip], background: NDArray[np.float32], lengt
     edges = np.stack([edge for _, edge in turned])
     alike = np.stack([_alike(strip, background, aside, length, step) for strip, _ in turned])
     scores = partial(_scores, edges, alike, aside, step, width)
-    wide = np.arange(max(round(0.3 * width / step), 2), round(1.4 * width / step) + 1)
+    widest = min(round(1.4 * width / step), len(aside) - 2)  # both edges are inside
+    wide = np.arange(max(round(0.3 * width / step), 2), widest + 1)
     count = int(max(wide, key=lambda n: float(np.sum(np.max(scores(int(n)), axis=1)))))
     first = np.argmax(scores(count), axis=1)
     pairs = [[_edge_near(aside, edge, i) for i in (at, at + count)] for edge, at in zip(edges, first, strict=True)]

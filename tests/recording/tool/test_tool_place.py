@@ -64,6 +64,13 @@ def test_a_place_where_no_picture_shows_the_tool_has_no_track(monkeypatch: pytes
     assert film.place() == elsewhere
 
 
+def test_a_tool_that_looks_wider_than_what_is_searched_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    film = filmed((0.8, TOOL))
+    wide = replace(film.place(), width=0.25 * LENGTH, track=None)
+    monkeypatch.setattr(tool, "place_of", lambda *_: wide)
+    assert abs(film.place().s - 0.8) < 0.05
+
+
 def test_it_is_seen_on_either_side() -> None:
     film = filmed((0.8, TOOL))
     right, left = film.place(), mirrored(film).place()
