@@ -35,9 +35,9 @@ def params(cases: Collection[Case], quick: Collection[str]) -> list[Any]:
 
 
 def withstood(outcome: Outcome, case: Case, *, seconds: float = 20.0, most_MB: float = 1000.0) -> None:
-    """The program ended by itself, soon and within its memory, with one message; or it did its work."""
+    """The program ended by itself, after little work and within its memory, with one message; or it did its work."""
     assert outcome.verdict == ("done" if case.passes else "refused"), (outcome.verdict, outcome.err[-2000:])
-    assert outcome.seconds < seconds
+    assert outcome.work_s < seconds
     assert outcome.peak_MB < most_MB
     assert len(outcome.err) < LONGEST_MESSAGE
     assert "\x1b" not in outcome.err

@@ -27,7 +27,7 @@ def test_a_bag(victim: Victim, tracks: Path, case: Case) -> None:
     withstood(victim.attack(["check", "rec"], tracks.parent, most_MB=3000), case)
     listed = victim.attack(["topics", f"rec/{bag}"], tracks.parent, most_MB=3000)
     assert listed.verdict in ("done", "refused"), listed.err
-    assert listed.seconds < 40.0
+    assert listed.work_s < 40.0
     assert not list(tracks.parent.rglob("pwned"))
 
 

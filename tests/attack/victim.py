@@ -21,7 +21,7 @@ from typing import Self
 import onebend
 
 LIMIT_MB = 4096.0  # of address space: beyond it the attack has filled the memory
-LIMIT_S = 60.0
+LIMIT_S = 300.0  # after which it hangs: a machine that is busy takes several times as long as a free one
 
 
 @dataclass(frozen=True)
@@ -31,9 +31,8 @@ class Outcome:
     code: int  # exit code; -9 where it was killed for the time it took
     out: str
     err: str
-    seconds: float
+    work_s: float  # of the processor
     peak_MB: float  # noqa: N815  (the unit's own letters)
-    work_s: float = 0.0  # of the processor
 
     @property
     def verdict(self) -> str:
@@ -93,18 +92,16 @@ def serve() -> None:
         arguments, folder, seconds, most_MB = json.loads(line)
         answer = os.dup(1)
         said = [Path(folder) / f".said-{name}" for name in ("out", "err")]
-        began = time.monotonic()
         child = os.fork()
         if child == 0:
             _be_attacked(arguments, folder, most_MB, said)
-        status, usage = _waited(child, began + seconds)
-        took = time.monotonic() - began
+        status, usage = _waited(child, time.monotonic() + seconds)
         texts = [file.read_bytes().decode("utf-8", "replace") if file.exists() else "" for file in said]
         for file in said:
             file.unlink(missing_ok=True)
         work = usage.ru_utime + usage.ru_stime
         code = os.waitstatus_to_exitcode(status)
-        result = Outcome(code, texts[0], texts[1], took, usage.ru_maxrss / 1024.0, work)
+        result = Outcome(code, texts[0], texts[1], work, usage.ru_maxrss / 1024.0)
         os.write(answer, (json.dumps(vars(result)) + "\n").encode())
         os.close(answer)
 
