@@ -110,7 +110,8 @@ class KeyFrameModel:
     was marginalised, if any, and the key frames, and all other parameters (n - p)."""
 
     form: InformationForm  # of all, in this order
-    other_sd: Array  # (n - p,) prior sds of the others, whose means are zero
+    other_mean: Array  # (n - p,) of the others before the data
+    other_sd: Array  # (n - p,)
     others: Eliminated  # the others, integrated out
     evidence: Evidence  # of log k and the force's error
 
@@ -163,7 +164,8 @@ class KeyFramePosterior:
         """(n,) most probable parameters where log k's coefficients are (p,)."""
         (errors,), others = self.solved.own, self.model.others
         e = errors.root.times(errors.given(k, errors.white))
-        return np.concatenate([k, others.root.times(others.given(np.concatenate([k, e]), others.white))])
+        z = others.given(np.concatenate([k, e]), others.white)
+        return np.concatenate([k, self.model.other_mean + others.root.times(z)])
 
     def covariance(self, of_stiffness: Array) -> Array:
         """(n, n) of the parameters where log k's coefficients have the covariance (p, p)."""
@@ -314,10 +316,10 @@ def _products(keys: KeyFrames, scale: Array, of_tags: IntArray) -> tuple[Array, 
     return every, each
 
 
-def model_of(form: InformationForm, other_sd: Array, problem: FitProblem, spread: Array) -> KeyFrameModel:
-    """The model of a form as `information` gives it, with the `problem` of log k and the force's error; `other_sd`
-    (n - p,) of the others before the data, `spread` as in `Evidence`."""
+def model_of(form: InformationForm, before: tuple[Array, Array], problem: FitProblem, spread: Array) -> KeyFrameModel:
+    """The model of a form as `information` gives it, with the `problem` of log k and the force's error; `before` means
+    and sds (n - p,) of the others before the data, `spread` as in `Evidence`."""
     layout = problem.layout
-    others = eliminated(form, np.zeros(len(other_sd)), BlockRoot(other_sd), layout.size)
+    others = eliminated(form, before[0], BlockRoot(before[1]), layout.size)
     evidence = Evidence(problem, JointInformation((others.left,), layout.parts), spread)
-    return KeyFrameModel(form, other_sd, others, evidence)
+    return KeyFrameModel(form, *before, others, evidence)

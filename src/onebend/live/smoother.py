@@ -15,6 +15,7 @@ from onebend.learning.linear import Hyperparameters, RecordingNoise
 from onebend.learning.normal import Draws
 from onebend.learning.optimizer import starting
 from onebend.learning.parameters import Layout
+from onebend.learning.sites import first_site, updated
 from onebend.live import key_frames, residuals
 from onebend.live.hyperparameters import OnlineSettings, StiffnessChains, expected_error
 from onebend.live.key_frames import CheckedFrame, CourseSoFar, LoadStages, expect_shape, write_frame
@@ -90,6 +91,7 @@ class Smoother:
         drawn = settings.adapt and start.stiffness is None
         self._chains = StiffnessChains(spline, start.level, settings.roughness, settings.steps) if drawn else None
         self._stages, self._course = LoadStages(session.length, tags), CourseSoFar(session.course, session.terms)
+        self._sites = [first_site(block) for block in session.bounded]
         self._spent, self._turns = 0.0, 0
         self._linearised = 0  # key frames linearised in the last update
         self.misfit = np.zeros(tags)  # (m,) of the markers, over their covariances; 0 while it is no more than noise
@@ -217,12 +219,23 @@ class Smoother:
             self._spent = self.solution.effective_parameters
         elif self._settings.adapt and self._turns % _TURNS == 4:
             self.look_about()
+        elif self._turns % _TURNS == 6:
+            self.renew_sites()
 
     def look_about(self) -> None:
         """Take better sizes of the force error, by the last solution's evidence."""
         with suppress(np.linalg.LinAlgError):
             chosen = self.solution.likelier(self.hyperparameters, _STRIDE)
             self.solution, self.hyperparameters = self.solution.model.posterior(chosen), chosen
+
+    def renew_sites(self) -> None:
+        """Renew the normal priors that stand for those with bounds, see `learning.sites`."""
+        solution = self.solution
+        for i, block in enumerate(self._session.bounded):
+            rows = np.zeros((len(block.prior_sd), len(solution.x) + solution.e.size))
+            rows[:, solution.e.size :][:, block.where] = np.eye(len(rows))
+            mean, covariance = solution.x[block.where], solution.spread(rows)
+            self._sites[i] = updated(block, self._sites[i], mean, covariance)
 
     def renew(self) -> bool:
         """Solve for the posterior, move the estimate, and renew the robust weights. False where the solution fails: the
@@ -266,7 +279,7 @@ class Smoother:
         p, white = session.layout.spline.count, self._process.white
         form = information(keys, self.marginalised, p, sizes=self.noise, white=white, of_tags=session.of_tags)
         spread = np.where(np.array(CHOSEN) == "memory", settings.memory_doubt, np.append(SPREAD, _WHITE_SPREAD))
-        model = model_of(form, self.nuisance_sd, problem_of(session, error, start, expected), spread)
+        model = model_of(form, self._before, problem_of(session, error, start, expected), spread)
         return model.posterior(self.hyperparameters)
 
     @property
@@ -299,6 +312,7 @@ class Smoother:
             self._linearise(list(range(self.keys.used)))
             if not self.renew():
                 return
+            self.renew_sites()
         if self._settings.adapt:
             for _ in range(_SETTLED_STEPS):
                 if self._chains is not None:
@@ -352,3 +366,13 @@ class Smoother:
     def nuisance_sd(self) -> Array:
         """(n - p,) one sd before the data of all parameters but log k's coefficients."""
         return self._session.other_sd(self._largest, self._stages.largest / self._session.length)
+
+    @property
+    def _before(self) -> tuple[Array, Array]:
+        """(n - p,) means and sds of these before the data, those with bounds by their sites."""
+        sd, p = self.nuisance_sd, self._session.layout.spline.count
+        mean = np.zeros_like(sd)
+        for block, site in zip(self._session.bounded, self._sites, strict=True):
+            at = slice(block.start - p, block.where.stop - p)
+            mean[at], sd[at] = site
+        return mean, sd

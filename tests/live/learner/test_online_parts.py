@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import truncnorm
 
+from onebend.learning.allowances import NO_THICKNESS
 from onebend.learning.hyperparameters import SPREAD, at_nodes
 from onebend.learning.linear import Solved
 from onebend.learning.normal import Draws, InformationForm, drawn_chains, target_of
@@ -92,6 +94,22 @@ def test_sizes_of_the_force_error_by_their_evidence() -> None:
     assert sum(w for _, w in solution.at_nodes(len(SPREAD))) == pytest.approx(1.0)
     np.testing.assert_allclose(mean, fits, atol=float(0.1 * np.min(wide)))
     np.testing.assert_allclose(sd, wide, rtol=0.1)
+
+
+def test_a_beam_that_does_not_stretch_is_not_taken_to_stretch_less_than_not_at_all() -> None:
+    """Mean and variance of the section's change are those of what the frames say, cut off at its bound."""
+    made = observed(SOFT, forces(40), noise=NOISE, seed=2)  # without the bound -1.2
+    learner = OnlineLearner(made.length, MARKERS, 0.03, settings=OnlineSettings(functions=8))
+    shown(learner, made, range(40))
+    learner.settle(4)
+    (block,), (site,) = learner._session.bounded, learner._state._sites
+    (found,) = (one for one in learner.nuisances() if one.name == block.labels[0])
+    told = 1.0 / found.sd**2 - 1.0 / site[1][0] ** 2 + 1.0 / block.prior_sd[0] ** 2
+    middle = (found.value / found.sd**2 - site[0][0] / site[1][0] ** 2) / told
+    cut = truncnorm((NO_THICKNESS - middle) * np.sqrt(told), np.inf, middle, 1.0 / np.sqrt(told))
+    assert middle < NO_THICKNESS < found.value
+    assert found.value == pytest.approx(cut.mean(), abs=0.05)
+    assert found.sd == pytest.approx(cut.std(), rel=0.3)
 
 
 def test_reading_changes_nothing() -> None:
