@@ -11,15 +11,15 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import dataclass, replace
+from math import erf
 
 import numpy as np
 
-from benchmarks.real_bench import bench_of
+from benchmarks.setup import learn
 from onebend.errors import LearningError, MechanicsError, ObservationError
 from onebend.lab.designs import force_that_bends
 from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
 from onebend.learning.instruments import setup_of
-from onebend.learning.posterior import fit
 from onebend.learning.validation import validate
 
 TIP = 0.97  # beyond, a contact begins and slides inwards alone
@@ -55,15 +55,13 @@ def pushed_again(bench: VirtualBench, seed: int) -> VirtualBench:
 
 def compared(seed: int) -> SecondPush:
     """Make both, learn from the first, validate on the second."""
-    bench, _ = bench_of("all", seed)
-    again = pushed_again(bench, seed)
-    first = observe_virtual(virtual_recording(bench, seed=seed))
+    one = learn("all", seed)
+    again, found = pushed_again(one.bench, seed), one.posterior
     second = observe_virtual(virtual_recording(again, seed=seed + 1000))
-    found = fit([first], gain_sd=bench.declared.gain_sd)
     there = validate(found.beam, second, stiffness=found.stiffness, setup=setup_of(found))
     worst = int(np.argmax(there.rms))
     of_worst = (float(one[worst]) for one in (there.rms, there.sensor_rms, there.likely_rms))
-    return SecondPush(seed, (bench.push.at_s, again.push.at_s), *of_worst)
+    return SecondPush(seed, (one.bench.push.at_s, again.push.at_s), *of_worst)
 
 
 def summary(name: str, pairs: list[SecondPush]) -> str:
@@ -95,7 +93,9 @@ def main() -> None:
     for at_s in sorted({one.at_s for one in pairs}, reverse=True):
         print(summary(f"{at_s[0]:g}, {at_s[1]:g}", [one for one in pairs if one.at_s == at_s]))
     print(summary("all", pairs))
-    print(f"\nThe worst marker of each pair. {failed} of {asked.runs} pairs could not be made or learned from.")
+    normal = " / ".join(f"{100.0 * erf(level / np.sqrt(2.0)):.0f}" for level in LEVELS)
+    print(f"\nOf a normal error whose sd is known, {normal} % are up to {levels} times as large as is likely.")
+    print(f"The worst marker of each pair. {failed} of {asked.runs} pairs could not be made or learned from.")
 
 
 if __name__ == "__main__":

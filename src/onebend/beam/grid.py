@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -40,7 +40,7 @@ class Grid:
         ):
             raise MechanicsError("panel edges must rise from 0 to 1")
 
-    @property
+    @cached_property
     def nodes(self) -> Array:
         """(..., Q)"""
         x, _ = _gauss(self.order)
@@ -48,7 +48,7 @@ class Grid:
         s = self.edges[..., :-1, None] + 0.5 * h[..., None] * (x + 1.0)
         return np.asarray(s.reshape(*s.shape[:-2], -1))
 
-    @property
+    @cached_property
     def weights(self) -> Array:
         """(..., Q); they sum to 1."""
         _, w = _gauss(self.order)

@@ -8,7 +8,7 @@ from their priors instead.
 The force on the beam is `R(direction) F + e(x, y)`: F is the logged force, e a polynomial of second degree in the
 displacement (x, y) of the pushed place over the length. It acts at `s_a L + place + slide t`, t being the turn of the
 beam there. The clamp is at `origin` and turned by `clamp + gives t_1`, t_1 being the turn at the first tag. A material
-that relaxes has relaxed as far as it had in the recording under the largest force.
+that relaxes has relaxed as far as it had in the recording when the largest force ended.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class SetUp:
     angle_discrepancy: float = 0.0  # rad per metre of displacement, likewise of an angle
     times: tuple[float, ...] = ()  # s, of each share that relaxes
     reached: tuple[float, ...] = ()  # part of the curvature that a share of one of each time reaches in the push
-    reached_at_largest: tuple[float, ...] = ()  # the same in the frame of the largest force
+    reached_at_largest: tuple[float, ...] = ()  # the same when the largest force ended
 
     def __post_init__(self) -> None:
         n = sum(self.sizes.values())

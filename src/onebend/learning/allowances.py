@@ -552,6 +552,12 @@ def _view(observations: Observations) -> View:
 POSTURE_SD = 0.02  # of the largest force, each axis at the largest displacement; of the linear part no size is told
 
 
+def posture_sd(course: PushCourse) -> float:
+    """N, of each coefficient of `posture_terms` in a push of this size."""
+    reach = float(np.max(np.linalg.norm(posture_terms(course.moved), axis=1)))
+    return POSTURE_SD * course.largest / max(reach, _SMALL)
+
+
 def posture_bias(course: PushCourse) -> Allowance | None:
     """A polynomial of second degree in the displacement of the pushed place, zero at rest, for each axis of the force
     [N]; of frames as they come one in the displacement of the tags."""
@@ -562,8 +568,7 @@ def posture_bias(course: PushCourse) -> Allowance | None:
     terms = np.stack([bend, bend**2], axis=1) if live else posture_terms(course.moved)
     n = terms.shape[1]
     labels = tuple(f"posture bias {axis}{i}" for axis in "xy" for i in range(1, n + 1))
-    largest = np.sqrt(n) if live else max(float(np.max(np.linalg.norm(terms, axis=1))), _SMALL)
-    sd = np.full(2 * n, POSTURE_SD * course.largest / largest)
+    sd = np.full(2 * n, POSTURE_SD * course.largest / np.sqrt(n) if live else posture_sd(course))
     basis = np.zeros((len(terms), 2, 2, n))
     basis[:, [0, 1], [0, 1]] = terms[:, None, :]
     powers = np.tile([1.0, 2.0], 2) if live else _nothing()

@@ -86,15 +86,17 @@ class Evidence:
         """Likelihood of log k, all else integrated out at the hyperparameters of a posterior."""
         p, before = self.problem.layout.spline.count, posterior.before
         others = np.arange(p, before.parts[0].stop)
+        if not len(others):
+            return replace(posterior.left, weight=weight)
         left = eliminated(posterior.left, before.mean[others], before.roots[0].take(others), p).left
         return replace(left, weight=weight)
 
     def hyperparameters_at(self, start: Hyperparameters, z: Array) -> Hyperparameters:
         """Sizes of the force error z (d,) sd from what was expected, all else as at `start`."""
-        sizes: dict[str, Any] = dict(zip(CHOSEN, self._sizes_at(start, z), strict=True))
+        sizes: dict[str, Any] = dict(zip(CHOSEN, self.sizes_at(start, z), strict=True))
         return replace(start, **sizes)
 
-    def _sizes_at(self, start: Hyperparameters, z: Array) -> tuple[float, ...]:
+    def sizes_at(self, start: Hyperparameters, z: Array) -> tuple[float, ...]:
         """In the order of `CHOSEN`."""
         sizes = self._expected * np.exp(self.spread * np.clip(z, -_FARTHEST, _FARTHEST))
         return *sizes.tolist(), *start.of_force[len(z) :]
@@ -109,7 +111,7 @@ class Evidence:
         errors = [r.error if len(mine) else None for r, mine in zip(problem.recordings, own, strict=True)]
 
         def of(z: Array) -> float:
-            roots = each(partial(_error_root, sizes=self._sizes_at(start, z)), errors)
+            roots = each(partial(error_root, sizes=self.sizes_at(start, z)), errors)
             try:
                 log_evidence = solved(data, replace(some, roots=(some.roots[0], *roots))).log_evidence
             except np.linalg.LinAlgError:
@@ -137,7 +139,8 @@ class Evidence:
         return np.array(self.problem.expected.of_force[: len(self.spread)])
 
 
-def _error_root(error: ForceError | None, sizes: tuple[float, ...]) -> BlockRoot:
+def error_root(error: ForceError | None, sizes: tuple[float, ...]) -> BlockRoot:
+    """Of the error's coefficients, x and y in turn, at these factors on the expected sizes."""
     if error is None:
         return BlockRoot(np.zeros(0))
     of_axis = error.root(*sizes)
@@ -150,13 +153,11 @@ def choose_hyperparameters(evidence: Evidence, start: Hyperparameters) -> Hyperp
     return with_stiffness_prior(evidence, likeliest(evidence, start))
 
 
-def likeliest(
-    evidence: Evidence, start: Hyperparameters, evaluations: int = 60, stride: float = np.inf
-) -> Hyperparameters:
-    """Sizes of the force error of greatest evidence, at most `stride` sd from the start."""
+def likeliest(evidence: Evidence, start: Hyperparameters) -> Hyperparameters:
+    """Sizes of the force error of greatest evidence."""
     begin = evidence.place(start)
-    bounds = [(max(z - stride, -_FARTHEST), min(z + stride, _FARTHEST)) for z in begin.tolist()]
-    options = {"maxfun": evaluations, "eps": 1e-3, "ftol": 1e-4, "gtol": 0.15}
+    bounds = [(-_FARTHEST, _FARTHEST)] * len(begin)
+    options = {"maxfun": 60, "eps": 1e-3, "ftol": 1e-4, "gtol": 0.15}
     result = minimize(evidence.cost(start), begin, method="L-BFGS-B", bounds=bounds, options=options)
     return evidence.hyperparameters_at(start, result.x)
 
@@ -233,17 +234,28 @@ def _cubature(evidence: Evidence, hyperparameters: Hyperparameters) -> tuple[lis
     """Nodes over the sizes of the force error, and weights as the evidence says: exact to degree three."""
     middle, cost = evidence.place(hyperparameters), evidence.cost(hyperparameters)
     lowest = cost(middle)
-    values, vectors = np.linalg.eigh(_hessian(cost, middle, lowest, _CURVATURE_STEP))
+    points, log_shares = cubature(middle, _hessian(cost, middle, lowest, _CURVATURE_STEP))
+    weights = shares_of(log_shares - np.array([lowest, *(cost(z) for z in points[1:])]))
+    return [evidence.hyperparameters_at(hyperparameters, z) for z in points], weights
+
+
+def cubature(middle: Array, curvature: Array) -> tuple[Array, Array]:
+    """(2 d + 1, d) nodes around the `middle` of a cost with this curvature (d, d), and the logs of their weights over
+    `exp(-cost)`."""
+    values, vectors = np.linalg.eigh(curvature)
     sd = 1.0 / np.sqrt(np.maximum(values, 0.5))  # the prior alone has curvature one
     n = len(middle)
     radius = np.sqrt(n / (1.0 - _CENTRE_SHARE))
     offsets = radius * np.concatenate([np.zeros((1, n)), (vectors * sd).T, -(vectors * sd).T])
-    points = [middle + offset for offset in offsets]
     normal = 0.5 * radius**2 * np.concatenate([[0.0], np.ones(2 * n)])
     shares = np.array([_CENTRE_SHARE, *[(1.0 - _CENTRE_SHARE) / (2 * n)] * (2 * n)])
-    logs = np.log(shares) - np.array([lowest, *(cost(z) for z in points[1:])]) + normal
+    return middle + offsets, np.log(shares) + normal
+
+
+def shares_of(logs: Array) -> Array:
+    """Weights that sum to one, from their logs up to a constant."""
     weights = np.exp(logs - np.max(logs))
-    return [evidence.hyperparameters_at(hyperparameters, z) for z in points], weights / np.sum(weights)
+    return np.asarray(weights / np.sum(weights))
 
 
 def _hessian(cost: Callable[[Array], float], middle: Array, there: float, h: float) -> Array:

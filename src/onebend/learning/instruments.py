@@ -9,13 +9,7 @@ import numpy as np
 
 from onebend.beam.setup import PARTS, SetUp, posture_terms
 from onebend.errors import LearningError
-from onebend.learning.allowances import (
-    BETWEEN,
-    BETWEEN_SD,
-    TIMES,
-    USUAL_THICKNESS,
-    course_of,
-)
+from onebend.learning.allowances import BETWEEN, BETWEEN_SD, TIMES, USUAL_THICKNESS, course_of
 from onebend.learning.fit_data import FitData
 from onebend.learning.force_error import expected_noise, filtered
 from onebend.learning.frames import moved_by, read_alone, typical
@@ -266,6 +260,7 @@ def _check(bench: Instruments) -> None:
         raise ValueError("shared names no nuisances")
 
 
+_HELD = 0.99  # of the largest force: the last frame with more ends the hold
 _KEPT = 1e-11  # of the largest eigenvalue of log k's covariance: directions below are fixed
 
 
@@ -293,7 +288,8 @@ def setup_of(posterior: Posterior) -> SetUp | None:
         block = next((at.index[key] for key in keys if key in at.index and at.index[key].start >= 0), None)
         if block is not None:
             add(name, block.where, np.eye(len(block.prior_sd)), block.prior_sd)
-    largest = int(np.nanargmax(np.linalg.norm(data.force, axis=1)))
+    size = np.linalg.norm(data.force, axis=1)
+    largest, held = int(np.nanargmax(size)), int(np.flatnonzero(size > _HELD * np.nanmax(size))[-1])
     if recurring := _force_error_rows(posterior, number, posture_terms(run.moved)):
         add("force error", *recurring)
     joint, p = posterior.covariance.of_functionals(rows), len(stiffness.mean)
@@ -325,7 +321,7 @@ def setup_of(posterior: Posterior) -> SetUp | None:
         angle_discrepancy=left_over[1],
         times=tuple(TIMES.tolist()) if "relaxation" in sizes else (),
         reached=posterior.optimum.predictions[number].reached(),
-        reached_at_largest=posterior.optimum.predictions[number].reached(largest),
+        reached_at_largest=posterior.optimum.predictions[number].reached(held),
     )
 
 

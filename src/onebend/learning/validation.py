@@ -17,6 +17,7 @@ from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning import static_poses
+from onebend.learning.allowances import course_of, posture_sd
 from onebend.learning.fit_data import AtRest
 from onebend.learning.frames import (
     evenly_spread,
@@ -65,11 +66,11 @@ def validate(
     this set-up. Raises `LearningError` without a usable frame, or without a mass where weight acts; `MechanicsError`
     if k(s) is not positive."""
     observations, here = read_alone(observations), None
-    if setup is not None and stiffness is not None and _one_push(observations):
-        here = _Pushed(beam, stiffness, _as_pushed(setup, observations), observations)
+    frames = usable_frames(observations)
+    if setup is not None and stiffness is not None and np.any(frames) and _one_push(observations):
+        here = _Pushed(beam, stiffness, _as_pushed(setup, observations, frames), observations)
         origin = here.setup.origin
         observations = replace(observations, xy=observations.xy - origin, rest_xy=observations.rest_xy - origin)
-    frames = usable_frames(observations)
     if not np.any(frames):
         why = nothing_moves(observations) or "no frame has a load, a force and a tag"
         raise LearningError(f"{observations.source.name}: {why}; nothing to compare")
@@ -247,13 +248,14 @@ def _one_push(o: Observations) -> bool:
     return bool(one and still and o.readings.at == "mark")
 
 
-def _as_pushed(setup: SetUp, o: Observations) -> SetUp:
-    """The set-up under the push of this film, which is a new contact with the place as it is stated here. Over all of a
-    push the material has relaxed as k(s) says."""
+def _as_pushed(setup: SetUp, o: Observations, frames: BoolArray) -> SetUp:
+    """The set-up under the push of this film, which is a new contact: its place as it is stated here, the error with
+    the posture a share of the force here. Over all of a push the material has relaxed as k(s) says."""
     sd = setup.prior_sd.copy()
     sd[setup.columns.get("place", slice(0))] = max(o.stated.place_sd, _SAME_PLACE * o.length)
-    setup = replace(setup, prior_sd=sd, reached_at_largest=())
-    return setup.renewed(["contact"], push_s=float(np.nanmedian(push_places(o))), length=o.length)
+    sd[setup.columns.get("force error", slice(0))] = posture_sd(course_of(o, frames))
+    at = float(np.nanmedian(push_places(o)))
+    return replace(setup, push_s=at, prior_sd=sd, reached_at_largest=()).renewed(["contact"], length=o.length)
 
 
 def _notices(stable: BoolArray, converged: BoolArray) -> tuple[Notice, ...]:

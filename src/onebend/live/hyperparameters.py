@@ -98,7 +98,7 @@ def expected_error(settings: OnlineSettings, largest: float, far_off: bool) -> F
 # hyperparameters log k is normal, so its mean and covariance are averages over draws.
 
 _CHAINS = 2
-_KEPT_STEPS = 20  # the last steps, whose draws are kept
+_KEPT_STEPS = 10  # the last steps, whose draws are kept
 
 
 class StiffnessChains:
@@ -108,20 +108,19 @@ class StiffnessChains:
         """`level`: prior mean of log k; `tau`, `rho`: first values of roughness and steps."""
         self._spline, self._level = spline, level
         self._rng = np.random.default_rng(0)
-        self.stand = np.tile(np.append(np.log([tau, rho]), np.ones(len(spline.share))), (_CHAINS, 1))
-        first = normal.part_variances(spline, self.stand[:, :2], self.stand[:, 2:])[0]
-        self._logs_drawn = np.tile(np.log(first), (_KEPT_STEPS, 1))  # (B KEPT, n) of the parts' variances
-        self._next_draw = 0
+        first = np.append(np.log([tau, rho]), np.ones(len(spline.share)))
+        self.drawn = np.tile(
+            first, (_CHAINS * _KEPT_STEPS, 1)
+        )  # (B KEPT, 2 p + 1) where the chains stood, the last first
 
     @property
     def parts(self) -> Array:
         """(n,) geometric means of the parts' variances over the kept draws: the prior for the estimate. A few draws of
         large steps would dominate an arithmetic mean."""
-        return np.asarray(np.exp(np.mean(self._logs_drawn, axis=0)))
+        variances, _ = normal.part_variances(self._spline, self.drawn[:, :2], self.drawn[:, 2:])
+        return np.asarray(np.exp(np.mean(np.log(variances), axis=0)))
 
     def step(self, stiffness_form: InformationForm) -> None:
         target = normal.target_of(self._spline, [stiffness_form], self._level, _CHAINS)
-        (now,) = normal.drawn_chains(target, normal.Draws(_CHAINS, 0, 1), self.stand, self._rng)
-        self.stand = now.stand
-        self._logs_drawn[self._next_draw : self._next_draw + _CHAINS] = np.log(now.variance)
-        self._next_draw = (self._next_draw + _CHAINS) % len(self._logs_drawn)
+        (now,) = normal.drawn_chains(target, normal.Draws(_CHAINS, 0, 1), self.drawn[:_CHAINS], self._rng)
+        self.drawn = np.concatenate([now.stand, self.drawn[:-_CHAINS]])

@@ -123,6 +123,8 @@ class CourseSoFar:
     def rest(self, angle: Array, visible: BoolArray) -> Array:
         """(count,) of the next frame, at rest."""
         self._rest[visible], self._turn = angle[visible], np.zeros_like(self._turn)
+        if self._course.on_body.all():
+            return np.zeros(self._terms.count)
         return self.terms(angle, visible, np.zeros(2), 1.0, bend=0.0, back=False)
 
 

@@ -194,14 +194,6 @@ class OnlineLearner:
         """Reasons not to rely on `stiffness` as it is now; usually none."""
         return self._doubts + self._state.doubts
 
-    @property
-    @one_blas_thread
-    def force_error(self) -> Array:
-        """(2,) N: the log's error at the last frame, as far as it is known."""
-        self._state.catch_up()
-        e = self._state.solution.e
-        return e[-1].copy() if len(e) else np.zeros(2)
-
     @one_blas_thread
     def nuisances(self) -> list[Nuisance]:
         """Every parameter but k's, before and after the frames so far."""

@@ -17,8 +17,18 @@ from onebend.learning import allowances as effects
 from onebend.learning.fit_data import FitData, fit_data
 from onebend.learning.force_error import SpannedError
 from onebend.learning.linear import FitProblem, Hyperparameters
-from onebend.learning.parameters import MASS_SPREAD, STATED_ERRORS, Layout, Spline, inside, layout_of, without_recording
+from onebend.learning.parameters import (
+    MASS_SPREAD,
+    STATED_ERRORS,
+    Block,
+    Layout,
+    Spline,
+    inside,
+    layout_of,
+    without_recording,
+)
 from onebend.learning.prediction import predict
+from onebend.learning.sites import is_shaped
 from onebend.live.key_frames import FrameTerms, KeyFrames, course_of_frame, course_scale
 from onebend.records import Array, BoolArray, IntArray, Observations, Source, Stated, tags_among
 
@@ -76,6 +86,11 @@ class LiveSession:
         return np.concatenate([np.zeros(0), *(b.prior_sd * own.get(b.name, 1.0) for b in blocks)])
 
     @cached_property
+    def bounded(self) -> tuple[Block, ...]:
+        """The blocks whose priors are not normal."""
+        return tuple(b for b in self.layout.blocks if is_shaped(b))
+
+    @cached_property
     def patches_on_finer(self) -> Array:
         """(f, n) coefficients, of the finer spline, of the functions of log k under the tags; n = 0 without them."""
         fine, o = self.layout.spline.finer, self.observations
@@ -124,9 +139,9 @@ def session_of(
         wanted.append(one.with_sd(sd, course.tags))
     every = effects.allowances_of(course, effects.LIVE_ALLOWANCES)
     wanted += [replace(a, prior_sd=a.prior_sd * (a.name in allowances)) for a in every]
-    wanted = [
-        replace(a, sizes=(1.0,), within=effects.ANYTHING) for a in wanted
-    ] + without_recording()  # for time's sake
+    bounds = {"section": effects.section(course).within}  # the others' priors are normal, for time's sake
+    wanted = [replace(a, sizes=(1.0,), within=bounds.get(a.name, effects.ANYTHING)) for a in wanted]
+    wanted += without_recording()
     layout = layout_of(spline, [(-1, a) for a in wanted if a.shared] + [(0, a) for a in wanted if not a.shared])
     m, missing = len(marker_s), np.full((1, len(marker_s), 3), np.nan)
     stated = Stated("unknown", mass, 0.0, mass_along="even", thickness=thickness, tag_size=tag_size)

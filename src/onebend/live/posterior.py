@@ -8,15 +8,23 @@ with a force error at each key frame in place of knots.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from onebend.learning.force_error import SpannedError, sized
-from onebend.learning.hyperparameters import Evidence
-from onebend.learning.linear import Eliminated, FitProblem, Hyperparameters, JointInformation, Solved, eliminated
+from onebend.learning.hyperparameters import Evidence, cubature, error_root, shares_of
+from onebend.learning.linear import (
+    Eliminated,
+    FitProblem,
+    Hyperparameters,
+    JointInformation,
+    Solved,
+    eliminated,
+    solved,
+)
 from onebend.learning.normal import BlockRoot, InformationForm, solved_lower
 from onebend.live.key_frames import AT_REST, KeyFrames
 from onebend.recording.force_noise import TimeSpans, fast_variance, slow_variance, with_one_more
@@ -24,6 +32,10 @@ from onebend.records import Array, ForceNoise, IntArray
 
 # Marginalised key frames are kept as square-root information (Bierman, Factorization Methods for Discrete Sequential
 # Estimation, 1977): subtracting from an information matrix would lose its positive definiteness to rounding.
+
+
+_LITTLE = 0.02  # weight of a node that is left out
+_STEP = 1e-4  # sd of their logs, of the differences that give the derivatives with the sizes of the force's error
 
 
 @dataclass
@@ -98,7 +110,8 @@ class KeyFrameModel:
     was marginalised, if any, and the key frames, and all other parameters (n - p)."""
 
     form: InformationForm  # of all, in this order
-    other_sd: Array  # (n - p,) prior sds of the others, whose means are zero
+    other_mean: Array  # (n - p,) of the others before the data
+    other_sd: Array  # (n - p,)
     others: Eliminated  # the others, integrated out
     evidence: Evidence  # of log k and the force's error
 
@@ -151,7 +164,8 @@ class KeyFramePosterior:
         """(n,) most probable parameters where log k's coefficients are (p,)."""
         (errors,), others = self.solved.own, self.model.others
         e = errors.root.times(errors.given(k, errors.white))
-        return np.concatenate([k, others.root.times(others.given(np.concatenate([k, e]), others.white))])
+        z = others.given(np.concatenate([k, e]), others.white)
+        return np.concatenate([k, self.model.other_mean + others.root.times(z)])
 
     def covariance(self, of_stiffness: Array) -> Array:
         """(n, n) of the parameters where log k's coefficients have the covariance (p, p)."""
@@ -173,6 +187,51 @@ class KeyFramePosterior:
         few = np.concatenate([x[:p], e.ravel()])
         away, z = np.append(few, x[p:]), np.append(before.whiten(before.mean + few), x[p:] / self.model.other_sd)
         return float(np.sqrt(z @ z + max(away @ self.model.form.matrix @ away, 0.0)))
+
+    def likelier(self, start: Hyperparameters, stride: float) -> Hyperparameters:
+        """The hyperparameters `start` with sizes of the force's error of more evidence, at most `stride` sd away: one
+        step of Fisher's scoring."""
+        slope, curvature = self.of_sizes(self.model.evidence)
+        step = np.clip(-np.linalg.solve(curvature, slope), -stride, stride)
+        return self.model.evidence.hyperparameters_at(start, self.model.evidence.place(self.hyperparameters) + step)
+
+    def at_nodes(self, count: int) -> Iterator[tuple[Solved, float]]:
+        """As `learning.hyperparameters.at_nodes`, over the first `count` sizes of the force's error."""
+        if not len(self.e):
+            return iter([(self.solved, 1.0)])
+        evidence, before = self.model.evidence, self.solved.before
+        evidence = replace(evidence, spread=evidence.spread[:count])
+        points, log_shares = cubature(evidence.place(self.hyperparameters), self.of_sizes(evidence)[1])
+        roots = ((before.roots[0], self._error_root(evidence, z)) for z in points[1:])
+        nodes = [self.solved, *(solved(evidence.data, replace(before, roots=pair)) for pair in roots)]
+        costs = [0.5 * float(z @ z) - node.log_evidence for z, node in zip(points, nodes, strict=True)]
+        shares = shares_of(log_shares - np.array(costs))
+        shares = shares * (shares > _LITTLE)
+        pairs = zip(nodes, (shares / np.sum(shares)).tolist(), strict=True)
+        return ((node, share) for node, share in pairs if share)
+
+    def _error_root(self, evidence: Evidence, z: Array) -> BlockRoot:
+        return error_root(self.model.error, evidence.sizes_at(self.hyperparameters, z))
+
+    def of_sizes(self, evidence: Evidence) -> tuple[Array, Array]:
+        """(d,) slope of `evidence.cost` with the sizes z of the force's error, and (d, d) its curvature as expected.
+
+        With `C = L L'` the prior covariance, m and V the posterior mean and covariance, `w = L^-1 m`, `M = 1 - L^-1 V
+        L^-T` and `D = L^-1 dC/dz L^-T` they are `z - (w' D w - tr(M D)) / 2` and `1 + tr(M D_i M D_j) / 2`.
+        """
+        z, p = evidence.place(self.hyperparameters), self.count
+        own, count, size = self._error_root(evidence, z), len(self.e), len(z)
+        lower = own.blocks[0][1]
+        order = np.arange(2 * count).reshape(count, 2).T.ravel()  # x, then y
+        unknown = own.solve(own.solve(self.solved.pair(0)[p:, p:]).T)
+        told = (np.eye(2 * count) - unknown[np.ix_(order, order)]).reshape(4 * count, count)
+        roots = (self._error_root(evidence, one).blocks[0][1] for one in z + _STEP * np.eye(size))
+        changes = [(y @ y.T - np.eye(count)) / _STEP for y in (solved_lower(lower, root) for root in roots)]
+        halves = [(told @ change).reshape(2 * count, 2 * count) for change in changes]
+        w = solved_lower(lower, self.e)
+        slope = [np.vdot(w, d @ w) - np.trace(half) for d, half in zip(changes, halves, strict=True)]
+        curvature = [[np.vdot(a, b.T) for b in halves] for a in halves]
+        return z - 0.5 * np.array(slope), np.eye(size) + 0.5 * np.array(curvature)
 
     @property
     def effective_parameters(self) -> float:
@@ -257,10 +316,10 @@ def _products(keys: KeyFrames, scale: Array, of_tags: IntArray) -> tuple[Array, 
     return every, each
 
 
-def model_of(form: InformationForm, other_sd: Array, problem: FitProblem, spread: Array) -> KeyFrameModel:
-    """The model of a form as `information` gives it, with the `problem` of log k and the force's error; `other_sd`
-    (n - p,) of the others before the data, `spread` as in `Evidence`."""
+def model_of(form: InformationForm, before: tuple[Array, Array], problem: FitProblem, spread: Array) -> KeyFrameModel:
+    """The model of a form as `information` gives it, with the `problem` of log k and the force's error; `before` means
+    and sds (n - p,) of the others before the data, `spread` as in `Evidence`."""
     layout = problem.layout
-    others = eliminated(form, np.zeros(len(other_sd)), BlockRoot(other_sd), layout.size)
+    others = eliminated(form, before[0], BlockRoot(before[1]), layout.size)
     evidence = Evidence(problem, JointInformation((others.left,), layout.parts), spread)
-    return KeyFrameModel(form, other_sd, others, evidence)
+    return KeyFrameModel(form, *before, others, evidence)

@@ -10,11 +10,12 @@ import numpy as np
 from onebend.beam.stiffness import Profile, UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.force_error import sized, spanned_error
-from onebend.learning.hyperparameters import CHOSEN, SPREAD, at_nodes, averaged_stiffness, likeliest
+from onebend.learning.hyperparameters import CHOSEN, SPREAD, averaged_stiffness
 from onebend.learning.linear import Hyperparameters, RecordingNoise
 from onebend.learning.normal import Draws
 from onebend.learning.optimizer import starting
 from onebend.learning.parameters import Layout
+from onebend.learning.sites import first_site, updated
 from onebend.live import key_frames, residuals
 from onebend.live.hyperparameters import OnlineSettings, StiffnessChains, expected_error
 from onebend.live.key_frames import CheckedFrame, CourseSoFar, LoadStages, expect_shape, write_frame
@@ -62,13 +63,14 @@ def start_of(layout: Layout, start: Profile | float | UncertainStiffness) -> Sta
 
 
 _LAST = 2.0  # posterior sd of log k, RMS: a larger step is not the last
+_SETTLED = 2  # solutions in a row without such a step: one may end a step short by chance
 _MOST = 0.5  # of the tags: as many are not where they are expected because the estimate is wrong
 _MOVED = 0.5  # posterior sd: a larger distance from the linearisation point moves that point
 _MANY = 6  # key frames linearised with one frame: after more, nothing else is done in that update
-_LOOK, _LAST_LOOK = (10, 0.05), (60, 0.5)  # evaluations of the evidence, and sd: in one look, and after a push
+_STRIDE, _LAST_LOOKS = 0.05, 10  # sd, of the sizes of the force's error in one look for better ones; after a push
 _WHITE_SPREAD = 0.7  # sd of the log of the force error's white part
 _SETTLED_STEPS = 40  # of the chains, after a push
-_DRAWS = Draws(chains=1, burn=5, kept=15, shaped=False)  # for a reading, of each node of the cubature
+_DRAWS = Draws(chains=10, burn=2, kept=1, shaped=False)  # for a reading, of each node of the cubature
 _TURNS = 8  # of so many updates without a solution one looks for a missed tag, one counts the effective parameters
 
 
@@ -89,10 +91,12 @@ class Smoother:
         drawn = settings.adapt and start.stiffness is None
         self._chains = StiffnessChains(spline, start.level, settings.roughness, settings.steps) if drawn else None
         self._stages, self._course = LoadStages(session.length, tags), CourseSoFar(session.course, session.terms)
+        self._sites = [first_site(block) for block in session.bounded]
         self._spent, self._turns = 0.0, 0
         self._linearised = 0  # key frames linearised in the last update
         self.misfit = np.zeros(tags)  # (m,) of the markers, over their covariances; 0 while it is no more than noise
-        self._failed = self._far = False  # whether the last solution failed; was too far from the linearisation point
+        self._failed = False  # whether the last solution failed
+        self._unsettled = 0  # how many more solutions must be near the linearisation point
         self._missed = ""  # what `missed_tag` returned last
         self._too_soft = False  # whether the last frame had no equilibrium
         self.pending = True  # whether a frame has come since the last solution
@@ -135,7 +139,7 @@ class Smoother:
         if keys.stale[0] and 0 not in fresh and keys.used - len(pairs) > self._settings.key_frames + 1:
             fresh.append(0)  # it is marginalised next, with the linearisation that it has then
         room = 1 if self.pending else self._settings.renewed - len(fresh) + 1
-        room = i if self._far else max(room, 0)
+        room = i if self._unsettled else max(room, 0)
         waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][:room]
         solved = self._linearise([*fresh, *self._lineariser.near(keys, waiting, i)])
         self._too_soft = i not in solved
@@ -214,14 +218,24 @@ class Smoother:
         elif self._settings.adapt and self._turns % _TURNS == 2:
             self._spent = self.solution.effective_parameters
         elif self._settings.adapt and self._turns % _TURNS == 4:
-            self.look_about(*_LOOK)
+            self.look_about()
+        elif self._turns % _TURNS == 6:
+            self.renew_sites()
 
-    def look_about(self, evaluations: int, stride: float) -> None:
-        """Seek better sizes of the force error in the last solution's evidence, near those of now: see `likeliest`."""
+    def look_about(self) -> None:
+        """Take better sizes of the force error, by the last solution's evidence."""
         with suppress(np.linalg.LinAlgError):
-            model = self.solution.model
-            chosen = likeliest(model.evidence, self.hyperparameters, evaluations, stride)
-            self.solution, self.hyperparameters = model.posterior(chosen), chosen
+            chosen = self.solution.likelier(self.hyperparameters, _STRIDE)
+            self.solution, self.hyperparameters = self.solution.model.posterior(chosen), chosen
+
+    def renew_sites(self) -> None:
+        """Renew the normal priors that stand for those with bounds, see `learning.sites`."""
+        solution = self.solution
+        for i, block in enumerate(self._session.bounded):
+            rows = np.zeros((len(block.prior_sd), len(solution.x) + solution.e.size))
+            rows[:, solution.e.size :][:, block.where] = np.eye(len(rows))
+            mean, covariance = solution.x[block.where], solution.spread(rows)
+            self._sites[i] = updated(block, self._sites[i], mean, covariance)
 
     def renew(self) -> bool:
         """Solve for the posterior, move the estimate, and renew the robust weights. False where the solution fails: the
@@ -239,7 +253,7 @@ class Smoother:
         self.x, fresh = self._within_reach(solution.x), not np.any(keys.stale[: keys.used])
         step = (solution.x - self.point)[: solution.count]
         last = np.mean(step**2 / np.diag(solution.solved.of_shared)) < _LAST**2
-        self._far = not last or (self._far and not fresh)
+        self._unsettled = max(self._unsettled - fresh, 0) if last else _SETTLED
         residual = residuals.tag_residuals(keys, solution)
         if settings.adapt:
             marker = residuals.tag_noise_size(keys, residual, self._spent, settings.marker_noise)
@@ -265,7 +279,7 @@ class Smoother:
         p, white = session.layout.spline.count, self._process.white
         form = information(keys, self.marginalised, p, sizes=self.noise, white=white, of_tags=session.of_tags)
         spread = np.where(np.array(CHOSEN) == "memory", settings.memory_doubt, np.append(SPREAD, _WHITE_SPREAD))
-        model = model_of(form, self.nuisance_sd, problem_of(session, error, start, expected), spread)
+        model = model_of(form, self._before, problem_of(session, error, start, expected), spread)
         return model.posterior(self.hyperparameters)
 
     @property
@@ -298,11 +312,13 @@ class Smoother:
             self._linearise(list(range(self.keys.used)))
             if not self.renew():
                 return
+            self.renew_sites()
         if self._settings.adapt:
             for _ in range(_SETTLED_STEPS):
                 if self._chains is not None:
                     self._chains.step(self.solution.stiffness_form)
-            self.look_about(*_LAST_LOOK)
+            for _ in range(_LAST_LOOKS):
+                self.look_about()
 
     def move(self) -> None:
         """Make the present estimate the linearisation point."""
@@ -328,7 +344,7 @@ class Smoother:
     @property
     def last_doubts(self) -> tuple[str, ...]:
         """The same, with the missed tag of the last look for one."""
-        unsettled = self._far or np.mean(self._away > 0) > _MOST
+        unsettled = self._unsettled > 0 or np.mean(self._away > 0) > _MOST
         reasons = {"live: failed": self._failed, "live: too soft": self._too_soft, "live: unsettled": unsettled}
         own = residuals.key_frame_doubts(self.keys, self._rough, self._missed)
         return (*(say(code) for code, holds in reasons.items() if holds), *own)
@@ -339,10 +355,9 @@ class Smoother:
         solution, p = self.solution, self._session.layout.spline.count
         k, covariance, steps = solution.x[:p], solution.solved.pair(0)[:p, :p], np.zeros(p - 1)
         if self._settings.adapt:
-            sizes, evidence = self.hyperparameters, solution.model.evidence
-            sizes = replace(sizes, chains=None if self._chains is None else self._chains.stand)
-            of_others = replace(evidence, spread=evidence.spread[: len(SPREAD)])  # the white part keeps its size
-            stiffness = averaged_stiffness(of_others, at_nodes(of_others, sizes, [{}]), _DRAWS, sizes.chains)
+            chains = None if self._chains is None else self._chains.drawn
+            nodes = solution.at_nodes(len(SPREAD))  # the white part keeps its size
+            stiffness = averaged_stiffness(solution.model.evidence, nodes, _DRAWS, chains)
             k, covariance, steps = stiffness.mean, stiffness.covariance, stiffness.steps
         x, covariance = self._within_reach(solution.given_stiffness(k)), solution.covariance(covariance)
         return *self._lineariser.secant(self.keys, self.point, x, covariance), steps
@@ -351,3 +366,13 @@ class Smoother:
     def nuisance_sd(self) -> Array:
         """(n - p,) one sd before the data of all parameters but log k's coefficients."""
         return self._session.other_sd(self._largest, self._stages.largest / self._session.length)
+
+    @property
+    def _before(self) -> tuple[Array, Array]:
+        """(n - p,) means and sds of these before the data, those with bounds by their sites."""
+        sd, p = self.nuisance_sd, self._session.layout.spline.count
+        mean = np.zeros_like(sd)
+        for block, site in zip(self._session.bounded, self._sites, strict=True):
+            at = slice(block.start - p, block.where.stop - p)
+            mean[at], sd[at] = site
+        return mean, sd

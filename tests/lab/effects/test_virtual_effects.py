@@ -25,8 +25,10 @@ from onebend.lab.random_bench import (
     with_random_effects,
 )
 from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_virtual, true_stiffness, virtual_recording
+from onebend.learning.instruments import setup_of
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
+from tests.lab.from_truth import observe_from_truth
 
 pytestmark = pytest.mark.usefixtures("no_other_places")
 
@@ -165,3 +167,17 @@ def test_random_benches_are_the_same_but_for_their_effects() -> None:
     thickness = np.asarray(real.width(S)) / np.cbrt(np.asarray(real.bench.beam.stiffness(S)))
     np.testing.assert_allclose(thickness, thickness[0], rtol=1e-3)  # drawn as wide as it is thick
     assert real.bench.effects.patch_length == pytest.approx(1.25 * real.tag_size)
+
+
+def test_a_set_up_is_as_relaxed_as_the_push_was_at_the_end_of_its_hold() -> None:
+    """The beam creeps by 3 mm while it is held; the force is largest as early as late."""
+    bench = replace(BENCH, push=replace(PUSH, turn=0.0, hold=3.0))
+    film = virtual_recording(replace(bench, effects=RealBench(relaxation=0.12, relaxation_time=1.0)), seed=0)
+    found = fit([observe_from_truth(film)], settings=FitSettings(allowances=frozenset({"relaxation"})))
+    setup = setup_of(found)
+    assert setup is not None
+    force = film.force[int(np.argmax(np.linalg.norm(film.force, axis=1)))]
+    tip = setup.bent(found.beam, found.stiffness, force[None]).tags()[0, -1, :2]
+    begin, end = (int(np.searchsorted(film.markers.time, PUSH.before + PUSH.rise + held)) for held in (0.0, 3.0))
+    assert np.linalg.norm(tip - film.pose[end - 1, -1, :2]) < 3e-4
+    assert np.linalg.norm(tip - film.pose[begin, -1, :2]) > 2e-3

@@ -10,7 +10,7 @@ import pytest
 from onebend.beam.model import Beam
 from onebend.beam.setup import SetUp
 from onebend.beam.stiffness import LogSpline, Scaled, UncertainStiffness
-from onebend.learning.allowances import SLIDE_SD
+from onebend.learning.allowances import POSTURE_SD, SLIDE_SD
 from onebend.learning.prediction import few_frames, variances
 from onebend.learning.validation import solved_frames, validate
 from onebend.records import Array, Observations
@@ -111,6 +111,17 @@ def test_what_is_likely_in_a_set_up_is_the_spread_of_pushes_anew() -> None:
     found = validate(BEAM, made, stiffness=sure, setup=setup)
     away = (tags(BEAM, made.force, AT + PLACE_SD / 0.15) - tags(BEAM, made.force, AT - PLACE_SD / 0.15)) / 2.0
     assert found.likely_rms == pytest.approx(np.sqrt(mean_square(away) + 2e-10), rel=0.2)  # of 60 draws
+
+
+def test_the_error_with_the_posture_is_a_share_of_the_force_of_the_push_at_hand() -> None:
+    """However large that of the recording was."""
+    made = replace(seen(), force_sd=np.zeros(2))
+    sure, zeros = replace(KNOWN, covariance=1e-12 * np.eye(6)), np.zeros((10, 10))
+    part = {"sizes": {"force error": 10}, "mean": zeros[0], "slope": zeros[:, :6], "covariance": zeros}
+    setups = [replace(in_setup(place=(0.0, 1e-6)), **part, prior_sd=np.full(10, sd)) for sd in (1e-6, 1.0)]
+    likely = [validate(BEAM, made, stiffness=sure, setup=one).likely_rms[-1] for one in setups]
+    stronger = tags(BEAM, (1.0 + POSTURE_SD) * made.force) - tags(BEAM, made.force)
+    assert likely[0] == likely[1] == pytest.approx(np.sqrt(mean_square(stronger)[-1]), rel=0.6)
 
 
 def test_of_poses_the_loads_are_where_they_are_said_to_be() -> None:

@@ -186,7 +186,8 @@ def solved(session: LiveSession, keys: KeyFrames, marginalised: Marginalised, pr
     problem = problem_of(session, spanned_error(process, spans_of(keys, marginalised)), (0.3, None), h)
     sizes, none = np.full(2, 1.3), np.zeros((2, 0), dtype=np.int64)
     form = information(keys, marginalised, spline.count, sizes=sizes, white=process.white, of_tags=none)
-    return model_of(form, session.other_sd(1.0, 1.0), problem, SPREAD).posterior(h)
+    sd = session.other_sd(1.0, 1.0)
+    return model_of(form, (0.4 * sd, sd), problem, SPREAD).posterior(h)
 
 
 def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_nothing() -> None:
@@ -210,7 +211,8 @@ def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_no
     precision[:n, :n] = block_diag(of_log_k, np.diag(1.0 / sd**2))
     precision[n:, n:] = np.kron(np.linalg.inv(c), np.eye(2))
     dense = np.linalg.inv(rows.T @ rows + precision)
-    best = dense @ (rows.T @ right + precision[:, :6] @ np.full(6, 0.3))
+    before = np.concatenate([np.full(6, 0.3), 0.4 * sd, np.zeros(14)])
+    best = dense @ (rows.T @ right + precision @ before)
     np.testing.assert_allclose(solution.x, best[:n], rtol=1e-7, atol=1e-7)
     np.testing.assert_allclose(solution.e.ravel(), best[n:], rtol=1e-7, atol=1e-8)
     found = solution.covariance(solution.solved.pair(0)[:6, :6])

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import truncnorm
 
+from onebend.learning.allowances import NO_THICKNESS
+from onebend.learning.hyperparameters import SPREAD, at_nodes
+from onebend.learning.linear import Solved
 from onebend.learning.normal import Draws, InformationForm, drawn_chains, target_of
 from onebend.learning.parameters import Spline
 from onebend.live import smoother
@@ -59,6 +65,51 @@ def test_sizes_drawn_on_the_way_are_those_that_the_fit_draws() -> None:
     draws = list(drawn_chains(target_of(spline, [form], 0.0, 30), Draws(30, 60, 300), None))
     means = np.mean([np.log(one.variance).mean(axis=0) for one in draws], axis=0)
     np.testing.assert_allclose(np.mean(parts, axis=0), means, atol=0.6)
+
+
+def test_sizes_of_the_force_error_by_their_evidence() -> None:
+    """Its slope against differences, its nodes against those of the fit, and a step that raises it."""
+    made = observed(SOFT, forces(40), noise=NOISE, seed=1)
+    learner = OnlineLearner(made.length, MARKERS, 0.03, settings=OnlineSettings(functions=8))
+    shown(learner, made, range(40))
+    learner._state.catch_up()
+    solution, h = learner._state.solution, 1e-4
+    evidence, sizes = solution.model.evidence, solution.hyperparameters
+    cost, z = evidence.cost(sizes), evidence.place(sizes)
+    slope, curvature = solution.of_sizes(evidence)
+    differences = [(cost(z + h * e) - cost(z - h * e)) / (2.0 * h) for e in np.eye(len(z))]
+    np.testing.assert_allclose(slope, differences, rtol=5e-3, atol=5e-3)
+    of_data = curvature - np.eye(len(z))
+    np.testing.assert_allclose(of_data, of_data.T, atol=1e-9)
+    assert np.min(np.linalg.eigvalsh(of_data)) > -1e-9
+    assert cost(evidence.place(solution.likelier(sizes, 0.05))) < cost(z)
+    of_others = replace(evidence, spread=evidence.spread[: len(SPREAD)])
+
+    def moments(nodes: Iterable[tuple[Solved, float]]) -> tuple[Array, Array]:
+        every = list(nodes)
+        mean = sum(w * one.mean[:8] for one, w in every)
+        return np.asarray(mean), np.sqrt(np.diag(sum(w * one.of_shared[:8, :8] for one, w in every)))
+
+    (mean, sd), (fits, wide) = moments(solution.at_nodes(len(SPREAD))), moments(at_nodes(of_others, sizes, [{}]))
+    assert sum(w for _, w in solution.at_nodes(len(SPREAD))) == pytest.approx(1.0)
+    np.testing.assert_allclose(mean, fits, atol=float(0.1 * np.min(wide)))
+    np.testing.assert_allclose(sd, wide, rtol=0.1)
+
+
+def test_a_beam_that_does_not_stretch_is_not_taken_to_stretch_less_than_not_at_all() -> None:
+    """Mean and variance of the section's change are those of what the frames say, cut off at its bound."""
+    made = observed(SOFT, forces(40), noise=NOISE, seed=2)  # without the bound -1.2
+    learner = OnlineLearner(made.length, MARKERS, 0.03, settings=OnlineSettings(functions=8))
+    shown(learner, made, range(40))
+    learner.settle(4)
+    (block,), (site,) = learner._session.bounded, learner._state._sites
+    (found,) = (one for one in learner.nuisances() if one.name == block.labels[0])
+    told = 1.0 / found.sd**2 - 1.0 / site[1][0] ** 2 + 1.0 / block.prior_sd[0] ** 2
+    middle = (found.value / found.sd**2 - site[0][0] / site[1][0] ** 2) / told
+    cut = truncnorm((NO_THICKNESS - middle) * np.sqrt(told), np.inf, middle, 1.0 / np.sqrt(told))
+    assert middle < NO_THICKNESS < found.value
+    assert found.value == pytest.approx(cut.mean(), abs=0.05)
+    assert found.sd == pytest.approx(cut.std(), rel=0.3)
 
 
 def test_reading_changes_nothing() -> None:
