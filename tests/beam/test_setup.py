@@ -202,3 +202,8 @@ def test_a_set_up_survives_json_and_refuses_what_is_none() -> None:
     for broken in ({"mean": [0.0]}, {"sizes": {"camera": 1}}, {"thickness": float("nan")}, {"slope": None}):
         with pytest.raises(MechanicsError):
             SetUp.from_dict({**one.as_dict(), **broken})
+
+
+def test_where_only_a_gripper_holds_the_sensor_shows_no_push() -> None:
+    bent = equilibrium(BEAM, push(FORCE, 1.0))
+    assert setup().shown(bent.problem, bent, np.zeros((len(FORCE), 0, 2))).shape == (3, 0, 2)

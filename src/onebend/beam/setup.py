@@ -282,7 +282,10 @@ class SetUp:
     def shown(self, unloaded: Problem, solved: Equilibrium, forces: Array) -> Array:
         """(T, a, 2) N that the sensor shows for `forces` (T, a, 2) on the ideal beam, `solved` under them."""
         moved = self.moved(solved, follow(unloaded))
-        return np.stack([self.logged(one, moved) for one in np.moveaxis(forces, 1, 0)], axis=1)
+        out = np.empty_like(forces)
+        for i, force in enumerate(np.moveaxis(forces, 1, 0)):
+            out[:, i] = self.logged(force, moved)
+        return out
 
     def _with_zeros(self, *names: str) -> SetUp:
         mean = self.mean.copy()

@@ -110,3 +110,17 @@ def test_of_a_record_too_long_the_first_part_is_looked_at(monkeypatch: pytest.Mo
 def test_what_shows_no_swing_is_refused(time: Array, signals: Array, says: str) -> None:
     with pytest.raises(LearningError, match=says):
         swing_frequencies(time, signals)
+
+
+def test_a_signal_that_is_lost_where_it_is_fast_does_not_hide_another() -> None:
+    """A tag near the tip blurs; one near the clamp is always seen."""
+    time = np.arange(115) / 30.0
+    omega = 2.0 * np.pi * 2.175
+    one = np.exp(-0.04 * omega * time) * np.cos(omega * time + 2.6)
+    slow = np.abs(np.gradient(one, time)) < 3.0
+    slow[:42] = False
+    slow[1] = True  # alone
+    tip = np.where(slow, 75.0 * one, np.nan)
+    clamp = 9.0 * one + 0.03 * np.random.default_rng(0).standard_normal(len(time))
+    found = swing_frequencies(time, np.stack([clamp, tip, tip], axis=1)).modes
+    assert [mode.frequency for mode in found] == pytest.approx([2.175], rel=5e-3)
