@@ -139,11 +139,11 @@ def swing_frequencies(time: Array, signals: Array, *, most: int = 4, name: str =
         else:
             refused.append((peak, 0.0))
             weight = _weights(s, left) if found else np.ones(s.value.shape[1])
-    seen = np.isfinite(signals).sum(axis=0)
-    often = seen >= _OFTEN * seen.max(initial=0)
-    if not found and not often.all():  # what long gaps leave of a signal may hide the swing of the others
-        return swing_frequencies(time, signals[:, often], most=most, name=name)
     if not found:
+        seen = np.isfinite(signals).sum(axis=0)
+        often = seen >= _OFTEN * seen.max()
+        if not often.all():  # what long gaps leave of a signal may hide the swing of the others
+            return swing_frequencies(time, signals[:, often], most=most, name=name)
         raise LearningError(
             f"{name}: nothing in it swings. Film from the release on until the beam has almost stopped, at five frames "
             "or more a swing; say which part with --from-s and --to-s"

@@ -67,13 +67,13 @@ def validate(
     if k(s) is not positive."""
     observations, here = read_alone(observations), None
     frames = usable_frames(observations)
-    if setup is not None and stiffness is not None and np.any(frames) and _one_push(observations):
-        here = _Pushed(beam, stiffness, _as_pushed(setup, observations, frames), observations)
-        origin = here.setup.origin
-        observations = replace(observations, xy=observations.xy - origin, rest_xy=observations.rest_xy - origin)
     if not np.any(frames):
         why = nothing_moves(observations) or "no frame has a load, a force and a tag"
         raise LearningError(f"{observations.source.name}: {why}; nothing to compare")
+    if setup is not None and stiffness is not None and _one_push(observations):
+        here = _Pushed(beam, stiffness, _as_pushed(setup, observations, frames), observations)
+        origin = here.setup.origin
+        observations = replace(observations, xy=observations.xy - origin, rest_xy=observations.rest_xy - origin)
     if weighs(observations) and not has_mass(beam):
         raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
     still = _at_rest(beam) if here is None else here.bent(np.zeros((1, 2))).solved

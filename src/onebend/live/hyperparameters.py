@@ -109,9 +109,8 @@ class StiffnessChains:
         self._spline, self._level = spline, level
         self._rng = np.random.default_rng(0)
         first = np.append(np.log([tau, rho]), np.ones(len(spline.share)))
-        self.drawn = np.tile(
-            first, (_CHAINS * _KEPT_STEPS, 1)
-        )  # (B KEPT, 2 p + 1) where the chains stood, the last first
+        # (B KEPT, 2 p + 1) where the chains stood, the last first
+        self.drawn = np.tile(first, (_CHAINS * _KEPT_STEPS, 1))
 
     @property
     def parts(self) -> Array:

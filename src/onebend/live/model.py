@@ -139,8 +139,8 @@ def session_of(
         wanted.append(one.with_sd(sd, course.tags))
     every = effects.allowances_of(course, effects.LIVE_ALLOWANCES)
     wanted += [replace(a, prior_sd=a.prior_sd * (a.name in allowances)) for a in every]
-    bounds = {"section": effects.section(course).within}  # the others' priors are normal, for time's sake
-    wanted = [replace(a, sizes=(1.0,), within=bounds.get(a.name, effects.ANYTHING)) for a in wanted]
+    # All priors but the section's are normal, for time's sake.
+    wanted = [replace(a, sizes=(1.0,), within=a.within if a.name == "section" else effects.ANYTHING) for a in wanted]
     wanted += without_recording()
     layout = layout_of(spline, [(-1, a) for a in wanted if a.shared] + [(0, a) for a in wanted if not a.shared])
     m, missing = len(marker_s), np.full((1, len(marker_s), 3), np.nan)
