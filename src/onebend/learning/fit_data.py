@@ -14,16 +14,7 @@ from onebend.beam.problem import Problem, Resolution, make_problem, share_farthe
 from onebend.beam.sensitivity import Perturbation, of_mass
 from onebend.beam.stiffness import LogSpline, Profile, UncertainStiffness, Uniform
 from onebend.errors import LearningError
-from onebend.learning.allowances import (
-    Allowance,
-    Entry,
-    Film,
-    MaterialMemory,
-    allowances_of,
-    course_of,
-    inertial_force,
-    weight_beyond,
-)
+from onebend.learning import allowances as effects
 from onebend.learning.force_error import ForceError, force_error
 from onebend.learning.frames import known_loads, mass_profile, pose_whitening, push_places, typical
 from onebend.learning.parameters import NEEDS_MASS, KnownShape, Spline, curvature_sd
@@ -120,7 +111,7 @@ class OwnWeight:
 
     def force(self, problem: Problem, k: Array, parts: Array) -> Array:
         """(F, Q, 2) N beyond each node."""
-        return weight_beyond(problem, self.line(k, parts)[..., None], self.gravity)[..., 0]
+        return effects.weight_beyond(problem, self.line(k, parts)[..., None], self.gravity)[..., 0]
 
     def line(self, k: Array, parts: Array) -> Array:
         """(Q,) or (F, Q) kg/m at the nodes; without the stated mass where it does not follow k."""
@@ -135,7 +126,7 @@ class OwnWeight:
     def by_stiffness(self, problem: Problem, k: Array, functions: Array, parts: Array) -> Array | None:
         """(F, Q, 2, p) N, derivatives with the coefficients of log k of `functions` (Q, p) or (F, Q, p)."""
         by_k = self.line_by_stiffness(k, functions, parts)
-        return None if by_k is None else weight_beyond(problem, by_k, self.gravity)
+        return None if by_k is None else effects.weight_beyond(problem, by_k, self.gravity)
 
     def line_by_stiffness(self, k: Array, functions: Array, parts: Array) -> Array | None:
         """(Q, p) or (F, Q, p) kg/m, derivatives as above; None where the mass does not follow k."""
@@ -213,8 +204,8 @@ class FitData:
     on_nodes: Array  # (Q, p) or (F, Q, p): the spline's functions at the nodes
     offset: Array  # (Q,) or (F, Q): what is known of log k there, but for its level
     rest_on_nodes: Array  # (Q, 3) or (F, Q, 3)
-    allowances: tuple[Allowance, ...] = ()
-    memory: MaterialMemory | None = None  # of a beam that relaxes, where earlier frames are not among these
+    allowances: tuple[effects.Allowance, ...] = ()
+    memory: effects.MaterialMemory | None = None  # of a beam that relaxes, where earlier frames are not among these
 
     @property
     def resting(self) -> BoolArray:
@@ -233,7 +224,7 @@ class FitData:
         across = np.sum(away * self.across, axis=-1, keepdims=True) * self.across
         return np.where(np.any(self.across, axis=-1, keepdims=True), across, away)
 
-    def entering(self, enters: Entry) -> list[Allowance]:
+    def entering(self, enters: effects.Entry) -> list[effects.Allowance]:
         """The allowances that enter the model here."""
         return [a for a in self.allowances if a.enters == enters]
 
@@ -289,10 +280,12 @@ def fit_data(
     )
     ends = held_ends(o, frames, problem)
     nodes = problem.grid.nodes
-    film = Film(o, frames, measured, problem, gravity, line)
+    film = effects.Film(o, frames, measured, problem, gravity, line)
     none = o.static or not np.any(frames)
     known_mass = bool(allowances) and (np.isfinite(o.stated.mass) or o.stated.masses) and not o.static
-    inertia = inertial_force(o, frames, problem, line, len(force), o.stated.masses) if known_mass else np.zeros(1)
+    inertia = (
+        effects.inertial_force(o, frames, problem, line, len(force), o.stated.masses) if known_mass else np.zeros(1)
+    )
     return FitData(
         observations=o,
         number=number,
@@ -317,7 +310,7 @@ def fit_data(
         on_nodes=spline.basis(nodes),
         offset=known.offset_at(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),
-        allowances=() if none else allowances_of(course_of(o, frames, film, across), allowances),
+        allowances=() if none else effects.allowances_of(effects.course_of(o, frames, film, across), allowances),
     )
 
 

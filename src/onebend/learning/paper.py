@@ -13,19 +13,8 @@ from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Gaussians, Powers, Profile, Uniform, equidistant, gaussian_basis, power_basis
 from onebend.errors import LearningError, MechanicsError
 from onebend.gauss_newton import Linearised, SearchLimits, most_probable
+from onebend.learning import frames as framing
 from onebend.learning.fit_data import AtRest, at_rest, beam_points
-from onebend.learning.frames import (
-    at_frames,
-    distances,
-    evenly_spread,
-    mass_profile,
-    nothing_moves,
-    push_places,
-    read_alone,
-    usable_frames,
-    whitened,
-    whitening,
-)
 from onebend.learning.outcome import Comparison, Learned, Notice, Trial
 from onebend.learning.parameters import NEEDS_MASS, weighs
 from onebend.learning.validation import marker_misfit, validate
@@ -69,7 +58,7 @@ def solve_states(
     xy, tangent = beam_points(observations, rest)
     measured = np.concatenate([xy, tangent[..., None]], axis=-1)  # (T, m, 3)
     used = measured * np.array([1.0, 1.0, 1.0 if with_angles else np.nan])
-    whiten = whitening(used, covariance_with_camera(observations))
+    whiten = framing.whitening(used, covariance_with_camera(observations))
     data = np.asarray(np.sum(np.any(whiten != 0.0, axis=-1), axis=-1, dtype=float))  # (T, m)
     target = np.where(np.isfinite(measured), measured, 0.0)
     at = places(observations.length, Modes(n), observations.marker_s)
@@ -79,7 +68,7 @@ def solve_states(
         pose = np.concatenate([positions(at, theta), angles(at, theta)[..., None]], axis=-1)
         turn = np.broadcast_to(at.to_places[None, :, None, :], (len(rows), len(at.s), 1, n))
         slopes = np.concatenate([jacobians(at, theta), turn], axis=2)
-        both = whitened(whiten[rows], np.concatenate([slopes, (target[rows] - pose)[..., None]], axis=-1))
+        both = framing.whitened(whiten[rows], np.concatenate([slopes, (target[rows] - pose)[..., None]], axis=-1))
         return Linearised(both[..., -1], both[..., :-1], np.ones(len(rows), dtype=bool), np.zeros((len(rows), 0)))
 
     theta = _start(at, target, data > 0, whiten)
@@ -146,7 +135,7 @@ def assemble(observations: Observations, states: States) -> MomentRows:
     alpha = states.theta @ a.T
     u = np.stack([np.cos(alpha), np.sin(alpha)], axis=-1)  # (T, Q, 2)
     across = np.stack([-u[..., 1], u[..., 0]], axis=-1)
-    to_push = grid.integral_to(push_places(observations)[:, None])[:, 0]  # (T, Q)
+    to_push = grid.integral_to(framing.push_places(observations)[:, None])[:, 0]  # (T, Q)
     load_per_force = length * np.einsum("tq,tqc,qi->tic", to_push, across, a, optimize=True)
     beyond = _weight_beyond(observations)  # (T, Q, 2)
     load = np.einsum("tic,tc->ti", load_per_force, observations.force)
@@ -261,7 +250,7 @@ def _weight_beyond(observations: Observations) -> Array:
         return np.zeros((len(observations.time), len(_GRID.nodes), 2))
     if not np.isfinite(observations.stated.mass):
         raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
-    line = observations.length * np.asarray(mass_profile(observations)(_GRID.nodes))
+    line = observations.length * np.asarray(framing.mass_profile(observations)(_GRID.nodes))
     beyond = _GRID.weights @ line - apply(_GRID.integral_to_nodes, line)
     for one in observations.stated.masses:
         beyond = beyond + one.mass * (_GRID.nodes < one.s)
@@ -354,10 +343,10 @@ def table(
         LearningError: the frames are too few for any.
     """
     observations = _fewer(observations, most_frames)
-    frames = usable_frames(observations)
+    frames = framing.usable_frames(observations)
     wanted = pairs(settings, len(observations.marker_s))
     needed = max(n + m for n, m in wanted)
-    if still := nothing_moves(observations):
+    if still := framing.nothing_moves(observations):
         raise LearningError(f"{observations.source.name}: {still}. Film a push, and let the force log cover it")
     if np.sum(frames) < needed:
         raise LearningError(
@@ -380,10 +369,10 @@ def table(
 
 def _fewer(observations: Observations, most: int) -> Observations:
     """At most so many of the usable frames of a film."""
-    frames = np.flatnonzero(usable_frames(observations)).astype(np.int64)
+    frames = np.flatnonzero(framing.usable_frames(observations)).astype(np.int64)
     if observations.static or len(frames) <= most:
         return observations
-    return at_frames(observations, evenly_spread(frames, most, len(observations.time)))
+    return framing.at_frames(observations, framing.evenly_spread(frames, most, len(observations.time)))
 
 
 def _compared(observations: Observations, frames: BoolArray) -> BoolArray:
@@ -391,8 +380,8 @@ def _compared(observations: Observations, frames: BoolArray) -> BoolArray:
     if observations.static:
         return frames
     rows = np.flatnonzero(frames).astype(np.int64)
-    chosen = evenly_spread(rows, _SIMULATED, len(frames))
-    chosen[rows[np.argmax(distances(observations.force[rows]))]] = True
+    chosen = framing.evenly_spread(rows, _SIMULATED, len(frames))
+    chosen[rows[np.argmax(framing.distances(observations.force[rows]))]] = True
     return chosen
 
 
@@ -453,7 +442,7 @@ def _try(
     seen = np.isfinite(rms)
     if not seen.any():
         return Candidate(replace(trial, why_out=_SNAPS), beam)
-    observed = int(np.sum(np.isfinite(observations.xy[usable_frames(observations)])))
+    observed = int(np.sum(np.isfinite(observations.xy[framing.usable_frames(observations)])))
     bic = information_criterion(rms[seen], observed, n + m, settings.bic)
     return Candidate(replace(trial, rms=rms, bic=bic), beam, solved)
 
@@ -469,7 +458,7 @@ def make_beam(observations: Observations, states: States, stiffness: Profile) ->
         observations.length,
         stiffness,
         rest_curvature=curvature,
-        mass_per_length=mass_profile(observations),
+        mass_per_length=framing.mass_profile(observations),
         masses=observations.stated.masses,
     )
 
@@ -487,7 +476,7 @@ def regress(
     Raises:
         LearningError: too few loaded frames, or no (n, m) gives a beam that can be simulated.
     """
-    observations = read_alone(observations)
+    observations = framing.read_alone(observations)
     rest = at_rest(observations)
     candidates = table(observations, rest, settings, progress, most_frames)
     chosen, training = standing(candidates, observations, rest)

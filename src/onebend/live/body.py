@@ -9,19 +9,10 @@ from typing import Any
 import numpy as np
 
 from onebend.errors import ObservationError
+from onebend.recording import outline as outlines
 from onebend.recording.camera import Poses, drop, measure_markers, points_in_plane
 from onebend.recording.entries import Recording
 from onebend.recording.flanks import MEASURED, SIDES, BodyPlace, Planes, Sight, planes_of
-from onebend.recording.outline import (
-    PLACES,
-    FlankFollower,
-    OutlineSearch,
-    body_place,
-    body_width,
-    centreline,
-    points_of,
-    track_of,
-)
 from onebend.recording.plane import project
 from onebend.recording.signals import nan_mean
 from onebend.recording.tags import TrackedFrame, Tracker
@@ -44,7 +35,7 @@ class OutlineSighting:
     away: Array  # (2, M) m; NaN where the body was lost
     shift: Array  # (2,) px, of the picture against the one in which the body was found
 
-    def drawn(self, follower: FlankFollower) -> Array:
+    def drawn(self, follower: outlines.FlankFollower) -> Array:
         """(c, 2) px along the middle between the flanks, NaN where they were not seen."""
         assert follower.body is not None
         place, every = follower.place, max(1, follower.place.stations.count // DRAWN)
@@ -67,7 +58,7 @@ class BodyTracker:
 
     def __init__(self, rec: Recording) -> None:
         self.why = "" if rec.tags.on_beam else NOT_SEEN  # nothing is seen of the body in the newest picture
-        self.follower: FlankFollower | None = None
+        self.follower: outlines.FlankFollower | None = None
         self._rec, self._next, self._corners, self._lost = rec, -np.inf, np.empty(0), 0
         self._tags = Tracker([tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)], rec.tags.family)
 
@@ -107,7 +98,10 @@ class BodyTracker:
                 found = Detections(np.array([seen.time]), tag_id, seen.corners[None], width, height)
                 view = measure_markers(found, self._rec).view
                 assert view is not None
-                self.follower, self._corners = FlankFollower(body_place(self._rec, view)), seen.corners[:base]
+                self.follower, self._corners = (
+                    outlines.FlankFollower(outlines.body_place(self._rec, view)),
+                    seen.corners[:base],
+                )
             shift = np.nan_to_num(nan_mean((seen.corners[:base] - self._corners).reshape(-1, 2)))
             state, away = self.follower.step(Sight(planes, self.follower.place.view, shift))
         except ObservationError as wrong:
@@ -131,23 +125,23 @@ class SeenOutline:
 
     place: BodyPlace
     half: Array  # (M,) m, half the width where the body was found
-    found: OutlineSearch
+    found: outlines.OutlineSearch
     shift: Array  # (T, 2) px
 
     @property
     def track(self) -> OutlineTrack:
         """Its points. Raises `ObservationError` where what was followed is no body."""
-        return track_of(self.place, self.found, self.half, self.shift)
+        return outlines.track_of(self.place, self.found, self.half, self.shift)
 
 
-def outline_in(frames: Iterable[TrackedFrame], follower: FlankFollower | None) -> SeenOutline | None:
+def outline_in(frames: Iterable[TrackedFrame], follower: outlines.FlankFollower | None) -> SeenOutline | None:
     """The outline in these frames; None where it was never found."""
     if follower is None or follower.body is None:
         return None
     nothing = OutlineSighting(follower.body.state, np.full((2, follower.place.stations.count), np.nan), np.zeros(2))
     every = [one.outline if isinstance(one, BodyFrame) and one.outline is not None else nothing for one in frames]
     state, away, shift = (np.stack([getattr(one, name) for one in every]) for name in ("state", "away", "shift"))
-    return SeenOutline(follower.place, follower.body.half, OutlineSearch(state, away), shift)
+    return SeenOutline(follower.place, follower.body.half, outlines.OutlineSearch(state, away), shift)
 
 
 @dataclass(frozen=True)
@@ -172,9 +166,9 @@ class PointReader:
         stations, scale, n = self.place.stations, self.place.scale, len(self.kept)
         if seen is None or not np.isfinite(seen.away).any():
             return Poses(np.full((1, n, 2), np.nan), np.full((1, n), np.nan), self.covariance[None])
-        found = OutlineSearch(seen.state[None], seen.away[None])
-        middle = centreline(found, stations, self.half, MEASURED / scale)
-        track = points_of(middle, found, stations, self.place.view, seen.shift[None], scale)
+        found = outlines.OutlineSearch(seen.state[None], seen.away[None])
+        middle = outlines.centreline(found, stations, self.half, MEASURED / scale)
+        track = outlines.points_of(middle, found, stations, self.place.view, seen.shift[None], scale)
         poses = points_in_plane(view, track, self.height)
         poses = drop(poses, ~np.isfinite(track.sd))
         return Poses(poses.xy[:, self.kept], poses.angle[:, self.kept], self.covariance[None])
@@ -182,6 +176,6 @@ class PointReader:
 
 def point_reader(outline: SeenOutline, s: Array, covariance: Array, traced: BoolArray, height: Array) -> PointReader:
     """The reader of the `traced` (m,) ones among markers at `s` (m,), of these covariances (m, 3, 3) [m^2, rad^2]."""
-    width, _ = body_width(outline.found.away, outline.half)
-    kept = np.searchsorted(PLACES, s[traced] - 1e-9)
+    width, _ = outlines.body_width(outline.found.away, outline.half)
+    kept = np.searchsorted(outlines.PLACES, s[traced] - 1e-9)
     return PointReader(outline.place, 0.5 * width, kept, covariance[traced], traced, height)

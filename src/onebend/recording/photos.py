@@ -18,26 +18,10 @@ from scipy.interpolate import PchipInterpolator
 
 from onebend.errors import ObservationError, RecordingError
 from onebend.progress import Progress, Silent, track
+from onebend.recording import flanks
 from onebend.recording.beam_frame import MOUNTING_SD, to_beam_frame
 from onebend.recording.camera import measure_tags, points_in_plane
 from onebend.recording.entries import Recording
-from onebend.recording.flanks import (
-    MEASURED,
-    PAPER,
-    STATES,
-    STEP,
-    BodyPlace,
-    Curve,
-    OutlinedBody,
-    Planes,
-    Sight,
-    Stations,
-    edge_size,
-    find_flanks,
-    first_width,
-    grown,
-    refined,
-)
 from onebend.recording.outline import PLACES, POINTS, STATION, OutlineSearch, centreline, points_of, refuse_lost
 from onebend.recording.plane import lay_square, project, to_plane, view_of
 from onebend.recording.poses import ERROR_LENGTH, GUESSED_SD, PoseLoads, PosePoints, read_loads, static
@@ -344,10 +328,10 @@ def _by_length(rec: Recording, loads: PoseLoads, clicks: tuple[Clicks, ...], pro
     return points, tuple(tracks)
 
 
-def planes_in(image: Image.Image, smaller: int) -> Planes:
+def planes_in(image: Image.Image, smaller: int) -> flanks.Planes:
     """Brightness and colours of a picture, so many times smaller."""
     luma, blue, red = (np.asarray(one) for one in image.convert("YCbCr").reduce(smaller).split())
-    return Planes(luma, np.stack([blue, red]), left=False)
+    return flanks.Planes(luma, np.stack([blue, red]), left=False)
 
 
 @dataclass(frozen=True)
@@ -355,11 +339,11 @@ class FoundBody:
     """The body in one picture."""
 
     name: str  # of the picture
-    sight: Sight  # of the picture made smaller
+    sight: flanks.Sight  # of the picture made smaller
     smaller: int  # so many times
-    stations: Stations
+    stations: flanks.Stations
     shown: BoolArray  # (M,) which of them lie where the body was clicked
-    body: OutlinedBody
+    body: flanks.OutlinedBody
 
 
 def smaller_view(view: View, times: float) -> View:
@@ -383,13 +367,13 @@ def found_in(rec: Recording, picture: str, image: Image.Image, view: View, click
     length = rec.beam.length
     long = float(np.linalg.norm(np.diff(project(view, np.array([[0.0, 0.0], [length, 0.0]])), axis=0)))
     smaller = max(1, int(long / LONGEST))
-    sight = Sight(planes_in(image, smaller), smaller_view(view, smaller), np.zeros(2))
-    stations = Stations(length, max(2 * POINTS, math.ceil(long / smaller / STATION)))
+    sight = flanks.Sight(planes_in(image, smaller), smaller_view(view, smaller), np.zeros(2))
+    stations = flanks.Stations(length, max(2 * POINTS, math.ceil(long / smaller / STATION)))
     s, name, width = stations.s, f"{rec.name}: {picture}", math.nan if rec.outline is None else rec.outline.width
     if clicks is None:
-        hidden = s < rec.tags.on_base[0].s + PAPER * rec.tags.size / length
-        place = BodyPlace(name, sight.view, stations, hidden, width)
-        return FoundBody(name, sight, smaller, stations, ~hidden, grown(sight, place))
+        hidden = s < rec.tags.on_base[0].s + flanks.PAPER * rec.tags.size / length
+        place = flanks.BodyPlace(name, sight.view, stations, hidden, width)
+        return FoundBody(name, sight, smaller, stations, ~hidden, flanks.grown(sight, place))
     end = STATION * smaller / long  # an edge that ends there is none
     shown = (s > end) & (s < clicks.s - end)
     state = through(stations, to_plane(view, clicks.px), clicks.s)
@@ -419,7 +403,7 @@ def found_by_length(rec: Recording, picture: str, clicks: Clicks, clamp: float) 
     return found
 
 
-def through(stations: Stations, points: Array, last: float) -> Array:
+def through(stations: flanks.Stations, points: Array, last: float) -> Array:
     """(1 + K,) numbers of a smooth curve through points (n, 2) m, the last of them at s = `last`."""
     t = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     line = PchipInterpolator(t, points)
@@ -429,10 +413,10 @@ def through(stations: Stations, points: Array, last: float) -> Array:
     angle = np.interp(stations.s, last * way / way[-1], np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0])))
     sd = CLICKED * stations.length / stations.count  # rad
     rows = np.vstack([stations.functions / sd, np.diag(1.0 / stations.prior[1:])])
-    return np.append(0.0, np.linalg.lstsq(rows, np.append(angle / sd, np.zeros(STATES)), rcond=None)[0])
+    return np.append(0.0, np.linalg.lstsq(rows, np.append(angle / sd, np.zeros(flanks.STATES)), rcond=None)[0])
 
 
-def feet_on(curve: Curve, stations: Stations, points: Array) -> tuple[Array, Array]:
+def feet_on(curve: flanks.Curve, stations: flanks.Stations, points: Array) -> tuple[Array, Array]:
     """(n,) places s and (n, 2) m on the curve that are nearest to points (n, 2); beyond its ends straight on."""
     nearest = np.argmin(np.linalg.norm(points[:, None] - curve.xy, axis=2), axis=1)
     tangent = np.stack([np.cos(curve.angle), np.sin(curve.angle)], axis=1)[nearest]
@@ -440,7 +424,9 @@ def feet_on(curve: Curve, stations: Stations, points: Array) -> tuple[Array, Arr
     return stations.s[nearest] + on / stations.length, curve.xy[nearest] + on[:, None] * tangent
 
 
-def caught(sight: Sight, stations: Stations, state: Array, shown: BoolArray, clicks: Clicks, smaller: int) -> Array:
+def caught(
+    sight: flanks.Sight, stations: flanks.Stations, state: Array, shown: BoolArray, clicks: Clicks, smaller: int
+) -> Array:
     """(1 + K,) numbers of a curve nearer to the middle of what has the colour of the clicked pixels, where the clicks
     are few and the curve through them leaves the body between them."""
     px = (clicks.px + 0.5) / smaller - 0.5
@@ -453,7 +439,9 @@ def caught(sight: Sight, stations: Stations, state: Array, shown: BoolArray, cli
         places, _ = feet_on(curve, stations, to_plane(sight.view, px))
         own = np.stack([np.interp(stations.s, np.maximum.accumulate(places), one) for one in colours.T], axis=1)
         normal, scale = sight.outward(curve)
-        out = np.arange(-REACHED, REACHED, STEP / float(np.median(scale) * stations.length)) * stations.length  # m
+        out = (
+            np.arange(-REACHED, REACHED, flanks.STEP / float(np.median(scale) * stations.length)) * stations.length
+        )  # m
         seen = sight.planes.at(sight.pixels(curve.xy)[:, None] + (out * scale[:, None])[..., None] * normal[:, None])
         unlike = np.linalg.norm(seen - own[:, None], axis=-1)
         like = unlike < SIMILAR * np.nan_to_num(np.nanquantile(unlike, 0.8, axis=1))[:, None]
@@ -474,7 +462,9 @@ def _nearest_run(like: BoolArray, out: Array) -> float:
     return float(0.5 * (first[nearest] + last[nearest]))
 
 
-def along(sight: Sight, stations: Stations, state: Array, shown: BoolArray, width: float) -> OutlinedBody | None:
+def along(
+    sight: flanks.Sight, stations: flanks.Stations, state: Array, shown: BoolArray, width: float
+) -> flanks.OutlinedBody | None:
     """The body along the curve of `state` where it is `shown` (M,), `width` m near the clamp (NaN: unknown); None where
     no two edges run along it."""
     pieces = np.array_split(np.flatnonzero(shown), PIECES)
@@ -488,7 +478,7 @@ def along(sight: Sight, stations: Stations, state: Array, shown: BoolArray, widt
     for _ in range(ROUNDS):
         curve = stations.curve(state)
         parts = (np.isin(np.arange(stations.count), piece) for piece in pieces)
-        sides = np.stack([first_width(sight, curve, part, stations.length) for part in parts])
+        sides = np.stack([flanks.first_width(sight, curve, part, stations.length) for part in parts])
         wide = sides.sum(axis=1)
         usual = float(nan_median(wide)) if math.isnan(width) else width
         well = np.abs(wide - usual) < ALIKE * usual
@@ -500,10 +490,10 @@ def along(sight: Sight, stations: Stations, state: Array, shown: BoolArray, widt
         if strays(new):
             break
         state = new
-    step = edge_size(sight, stations.curve(state), half, shown) if np.isfinite(half).all() else 0.0
-    body = refined(sight, stations, state, half, shown, step)
+    step = flanks.edge_size(sight, stations.curve(state), half, shown) if np.isfinite(half).all() else 0.0
+    body = flanks.refined(sight, stations, state, half, shown, step)
     for _ in range(ROUNDS):
-        body = None if body is None else refined(sight, stations, body.state, body.half, shown, step)
+        body = None if body is None else flanks.refined(sight, stations, body.state, body.half, shown, step)
     return None if body is None or strays(body.state) else body
 
 
@@ -512,9 +502,9 @@ def track_in(found: FoundBody) -> OutlineTrack:
     sight, stations, body = found.sight, found.stations, found.body
     curve = stations.curve(body.state)
     scale = float(np.median(sight.outward(curve)[1]))
-    away = np.where(found.shown, find_flanks(sight, curve, body.half, body.look), np.nan)
+    away = np.where(found.shown, flanks.find_flanks(sight, curve, body.half, body.look), np.nan)
     search = OutlineSearch(body.state[None], away[None])
-    middle = centreline(search, stations, body.half, MEASURED / scale)
+    middle = centreline(search, stations, body.half, flanks.MEASURED / scale)
     refuse_lost(middle, search, found.shown, found.name)
     track = points_of(middle, search, stations, sight.view, sight.shift[None], scale)
     times = found.smaller
