@@ -20,11 +20,8 @@ from onebend.control.loaded_beam import prepared, trace
 from onebend.control.reach_set import stability_margin
 from onebend.errors import ObservationError
 from onebend.live.history import FrameReader
-from onebend.recording.beam_frame import to_beam_frame
-from onebend.recording.camera import measure_markers
-from onebend.recording.entries import Recording
+from onebend.recording import beam_frame, camera, entries, plane
 from onebend.recording.force import to_beam
-from onebend.recording.plane import rotated
 from onebend.records import Array, Detections
 
 
@@ -80,7 +77,7 @@ class SeenBeam:
 class Eye:
     """Reads pictures' corners: first those of the rest, then the beam."""
 
-    def __init__(self, rec: Recording, model_rest: Array) -> None:
+    def __init__(self, rec: entries.Recording, model_rest: Array) -> None:
         """`model_rest` (m, 3) m, m, rad: the tags' places on the unloaded beam, by the model."""
         self.reader: FrameReader | None = None
         self.rest_noise = self.camera_sd = math.nan  # m: of a tag in one picture; what the camera adds to all
@@ -107,9 +104,9 @@ class Eye:
         rec = self._rec
         time, corners = np.array([one for one, _ in self._rest]), np.stack([one for _, one in self._rest])
         tags = np.array([tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)], dtype=np.int64)
-        found = measure_markers(Detections(time, tags, corners, shape[1], shape[0]), rec)
+        found = camera.measure_markers(Detections(time, tags, corners, shape[1], shape[0]), rec)
         pull = np.broadcast_to(np.asarray(gravity), (len(time), 2))
-        markers, _, _ = to_beam_frame(found, np.ones(len(time), dtype=bool), rec.tags.placement_sd, pull)
+        markers, _, _ = beam_frame.to_beam_frame(found, np.ones(len(time), dtype=bool), rec.tags.placement_sd, pull)
         assert markers.view is not None
         by_camera = np.zeros((1, len(self._model), 3, 1)) if markers.by_camera is None else markers.by_camera
         shared = by_camera[:1] @ np.swapaxes(by_camera[:1], -1, -2)
@@ -120,7 +117,7 @@ class Eye:
         self.camera_sd = float(np.sqrt(np.max(np.trace(shared[0, :, :2, :2], axis1=1, axis2=2))))
         xy, angle = markers.xy.mean(axis=0), markers.angle.mean(axis=0)
         self._turn = angle - self._model[:, 2]
-        self._offset = rotated(xy - self._model[:, :2], -self._model[:, 2])
+        self._offset = plane.rotated(xy - self._model[:, :2], -self._model[:, 2])
         most = 5.0 * rec.tags.placement_sd + 0.01 * rec.beam.length
         if float(np.abs(self._offset).max()) > most:
             worst = int(np.argmax(np.abs(self._offset).max(axis=1)))
@@ -143,7 +140,7 @@ class Eye:
         assert self.reader is not None
         xy, angle, covariance = self.reader.poses(corners)
         angle = angle - self._turn
-        return SeenBeam(arrival, xy - rotated(self._offset, angle), angle, covariance)
+        return SeenBeam(arrival, xy - plane.rotated(self._offset, angle), angle, covariance)
 
 
 def point_between(seen: SeenBeam, s: Array, modelled: Array, length: float) -> tuple[Array, float]:

@@ -13,18 +13,12 @@ from onebend import records
 from onebend.errors import ObservationError, RecordingError
 from onebend.options import option
 from onebend.progress import Progress, Silent, one_blas_thread
-from onebend.recording import force as forces, tracks
+from onebend.recording import clock_features, force as forces, force_axes, outline, photos, poses, stated, tracks
 from onebend.recording.beam_frame import BaseLog, RestShape, gravity_in_frame, read_base_log, rest_shape, to_beam_frame
 from onebend.recording.camera import measure_markers, measure_tags, with_checked_turns
-from onebend.recording.clock_features import ClockSettings
 from onebend.recording.entries import Recording, TagsEntry, VideoEntry
 from onebend.recording.folder import FILE_NAME, read_recording
-from onebend.recording.force_axes import check_direction, check_place
-from onebend.recording.outline import with_outline
-from onebend.recording.photos import photo_observations
-from onebend.recording.poses import pose_observations
 from onebend.recording.signals import MOST_FRAMES, check_span
-from onebend.recording.stated import stated_in
 from onebend.recording.tags import detect_tags
 from onebend.recording.tool import tool_checked, tool_in_film
 from onebend.recording.video import KeptFrames, spacing_of
@@ -47,7 +41,7 @@ class ObserveSettings:
         within=(0.0, 1e9),
     )
     check_force: bool = True  # refuse a force that contradicts the bending
-    clock: ClockSettings = field(default_factory=ClockSettings)
+    clock: clock_features.ClockSettings = field(default_factory=clock_features.ClockSettings)
     contact: forces.ContactSettings = field(default_factory=forces.ContactSettings)
     force: forces.ForceSettings = field(default_factory=forces.ForceSettings)
 
@@ -95,9 +89,9 @@ def _shown(
 ) -> records.Observations:
     """What film, tracks, photos or poses show of the beam."""
     if rec.poses is not None:
-        return pose_observations(rec)
+        return poses.pose_observations(rec)
     if rec.photos is not None:
-        return photo_observations(rec, progress=progress)[0]
+        return photos.photo_observations(rec, progress=progress)[0]
     log = forces.read_log(rec)
     base = read_base_log(rec.gravity.base_angle_file) if rec.gravity and rec.gravity.base_angle_file else None
     if rec.markers is not None:
@@ -111,7 +105,7 @@ def _shown(
     markers = with_checked_turns(tags.markers(), rec)
     if rec.traces_outline:
         frames = KeptFrames() if frames is None else frames
-        markers = with_outline(tags, markers, number, kept=frames, progress=progress)
+        markers = outline.with_outline(tags, markers, number, kept=frames, progress=progress)
     seen = assemble(rec, markers, log, base, settings)
     base_angle = markers.base_angle[seen.frame]
     seen = replace(seen, frame=number[seen.frame])
@@ -182,9 +176,9 @@ def assemble(
     few = records.of_markers(in_frame, records.read_before_fit(in_frame))
     angled = tracks.with_angles(few)
     bare = rest_shape(angled, contact.still)
-    implausible = check_direction(rec, angled, bare, force, push_s, loaded, refuse=settings.check_force)
+    implausible = force_axes.check_direction(rec, angled, bare, force, push_s, loaded, refuse=settings.check_force)
     if np.any(records.tags_among(few)):  # points of an outline have no angle of their own
-        implausible += check_place(rec, few, rest_shape(few, contact.still), push_s, loaded)
+        implausible += force_axes.check_place(rec, few, rest_shape(few, contact.still), push_s, loaded)
     use, drop_remarks = forces.usable(markers, force)
     remarks = (*rec.remarks, *markers.remarks, *fit.remarks)
     remarks += frame_remarks if clean is None else (*contact.remarks, *frame_remarks, *clean.remarks)
@@ -225,7 +219,7 @@ def observations_of(
     """The frames `use` (T,) of what was read, in one record."""
     return records.Observations(
         source=source,
-        stated=stated_in(rec),
+        stated=stated.stated_in(rec),
         length=rec.beam.length,
         frame=np.flatnonzero(use).astype(np.int64),
         tag_id=markers.tag_id,

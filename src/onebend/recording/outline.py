@@ -18,13 +18,9 @@ from numpy.typing import NDArray
 
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, track
-from onebend.recording import flanks
-from onebend.recording.camera import MeasuredTags
-from onebend.recording.entries import Recording
-from onebend.recording.plane import project
+from onebend.recording import camera, entries, flanks, plane, video
 from onebend.recording.signals import MAD_TO_SD, correlation_time, nan_mean, nan_median, running_median
 from onebend.recording.tags import in_order
-from onebend.recording.video import KeptFrames, timed
 from onebend.records import Array, BoolArray, IntArray, Markers, OutlineTrack, Remark, View
 
 # The film: each picture is searched near where the two before predict the body.
@@ -47,7 +43,7 @@ class OutlineSearch:
     away: Array  # (T, 2, M) m, from these curves to the flanks; NaN where not seen
 
 
-def body_place(rec: Recording, view: View) -> flanks.BodyPlace:
+def body_place(rec: entries.Recording, view: View) -> flanks.BodyPlace:
     """Where the body of a recording is looked for."""
     length = rec.beam.length
     count = math.ceil(length * flanks.scale_of(view, length) / STATION)
@@ -351,14 +347,14 @@ def centreline(found: OutlineSearch, stations: flanks.Stations, half: Array, sd:
 
 
 def outline_track(
-    rec: Recording,
+    rec: entries.Recording,
     view: View,
     corners: Array,
     frames: IntArray,
     *,
     tags: Markers | None = None,
     apart: bool = False,
-    kept: KeptFrames | None = None,
+    kept: video.KeptFrames | None = None,
     progress: Progress = Silent(),
 ) -> OutlineTrack:
     """The body's centreline in the `frames` (T,) of the film of `rec`, in which the base tags' corners (T, b, 4, 2)
@@ -378,7 +374,7 @@ def outline_track(
 
     def sights() -> Iterator[flanks.Sight]:
         assert rec.video is not None
-        for index, _, raw in track(progress, "Following the outline", timed(rec.video), len(frames)):
+        for index, _, raw in track(progress, "Following the outline", video.timed(rec.video), len(frames)):
             if kept is not None and not rec.video.topic:
                 kept.keep(rec.video, index, raw)
             if index in wanted:
@@ -415,12 +411,12 @@ APART = 1.5  # times its own sds: tags curl and lie at heights of their own, so 
 
 
 def with_outline(
-    tags: MeasuredTags,
+    tags: camera.MeasuredTags,
     markers: Markers,
     number: IntArray,
     *,
     apart: bool = False,
-    kept: KeptFrames | None = None,
+    kept: video.KeptFrames | None = None,
     progress: Progress = Silent(),
 ) -> Markers:
     """The `markers` of these tags, in frames of this `number`, with points of the body's outline; a note where there
@@ -447,7 +443,7 @@ def with_outline(
     return joined(tags, markers, found)
 
 
-def joined(tags: MeasuredTags, markers: Markers, found: Callable[[], OutlineTrack]) -> Markers:
+def joined(tags: camera.MeasuredTags, markers: Markers, found: Callable[[], OutlineTrack]) -> Markers:
     """The `markers` of these tags with the points of the outline that is `found` in the same frames; raises, and leaves
     it out, as `with_outline`."""
     rec = tags.description
@@ -482,7 +478,7 @@ def left_out(why: str) -> Remark:
     return Remark("note", f"The body's outline is not used beside the tags: {why}.")
 
 
-def contradicted(both: Markers, rec: Recording) -> str:
+def contradicted(both: Markers, rec: entries.Recording) -> str:
     """Where the outline contradicts the tags, in words; "" where it does not, or there are none between its points."""
     assert both.traced is not None
     points = np.flatnonzero(both.traced)
@@ -597,8 +593,8 @@ def points_of(
         at = [np.interp(s, stations.s, values) for values in (*xy.T, smooth.angle)]
         tangent = np.stack([np.cos(at[2]), np.sin(at[2])], axis=1)
         there = np.stack(at[:2], axis=1) + away[t][:, None] * np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
-        px[t] = project(view, there) + shift[t]
-        ahead[t] = project(view, there + 0.5 / POINTS * stations.length * tangent) + shift[t]
+        px[t] = plane.project(view, there) + shift[t]
+        ahead[t] = plane.project(view, there + 0.5 / POINTS * stations.length * tangent) + shift[t]
     return OutlineTrack(s, px, ahead, sd)
 
 

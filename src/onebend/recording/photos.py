@@ -18,19 +18,13 @@ from scipy.interpolate import PchipInterpolator
 
 from onebend.errors import ObservationError, RecordingError
 from onebend.progress import Progress, Silent, track
-from onebend.recording import flanks
-from onebend.recording.beam_frame import MOUNTING_SD, to_beam_frame
-from onebend.recording.camera import measure_tags, points_in_plane
+from onebend.recording import beam_frame, camera, flanks, signals, tables, tag_finder, video
 from onebend.recording.entries import Recording
 from onebend.recording.outline import PLACES, POINTS, STATION, OutlineSearch, centreline, points_of, refuse_lost
 from onebend.recording.plane import lay_square, project, to_plane, view_of
 from onebend.recording.poses import ERROR_LENGTH, GUESSED_SD, PoseLoads, PosePoints, read_loads, static
-from onebend.recording.signals import nan_median
-from onebend.recording.tables import read_columns
-from onebend.recording.tag_finder import Finder
 from onebend.recording.tags import track_block
 from onebend.recording.tracks import chord_angles
-from onebend.recording.video import FilmFrame
 from onebend.records import (
     POINT_ID,
     Array,
@@ -92,11 +86,11 @@ def detect_in_photos(rec: Recording, names: tuple[str, ...], progress: Progress 
     """Corners of the tags in every picture, in the order of `names`."""
     assert rec.photos is not None
     ids = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
-    finder, base = Finder(rec.tags.family), len(rec.tags.on_base)
+    finder, base = tag_finder.Finder(rec.tags.family), len(rec.tags.on_base)
     corners, sizes, remarks = [], [], []
     for i, name in track(progress, "Finding the tags", list(enumerate(names)), len(names)):
         picture = np.asarray(read_photo(rec, name).convert("L"))
-        block = track_block([FilmFrame(i, float(i), picture)], ids, finder)
+        block = track_block([video.FilmFrame(i, float(i), picture)], ids, finder)
         is_found = np.isfinite(block.corners[0]).all(axis=(1, 2))
         if block.doubles:
             raise ObservationError(f"{name}: tag {block.doubles[0][1]} is in the picture twice. Cover one of them.")
@@ -154,7 +148,7 @@ def measured(
     found = []
     for part in parts:
         some = replace(detections, time=detections.time[part], corners=detections.corners[part])
-        tags = measure_tags(some, rec)
+        tags = camera.measure_tags(some, rec)
         one = tags.markers()
         if trace is not None:
             views = zip(range(count)[part], base_views(rec, one, some.corners[:, 0]), strict=True)
@@ -196,12 +190,12 @@ def in_beam_frame(rec: Recording, markers: Markers, loads: PoseLoads) -> tuple[M
         bare &= ~np.any(loads.others.force != 0.0, axis=(1, 2)) & ~np.any(loads.others.moment != 0.0, axis=1)
     bare &= ~np.any(loads.gravity != 0.0, axis=1)
     if bare.any():
-        turned, _, remarks = to_beam_frame(markers, bare, rec.tags.placement_sd, loads.gravity)
+        turned, _, remarks = beam_frame.to_beam_frame(markers, bare, rec.tags.placement_sd, loads.gravity)
         reach = rec.beam.length * float(np.linalg.norm(markers.s))
         # As for a film that shows the beam at rest.
-        from_rest = 2.0 * rec.tags.placement_sd / reach if reach > 0.0 else MOUNTING_SD
+        from_rest = 2.0 * rec.tags.placement_sd / reach if reach > 0.0 else beam_frame.MOUNTING_SD
         return turned, stated if math.isfinite(stated) else from_rest, remarks
-    clamp_sd = stated if math.isfinite(stated) else MOUNTING_SD
+    clamp_sd = stated if math.isfinite(stated) else beam_frame.MOUNTING_SD
     turn = f"{math.degrees(clamp_sd):.2g} deg (sd)"
     text = f"No picture shows the bare beam: x is along the base tag, which may be turned by {turn}."
     return markers, clamp_sd, (Remark("note", text),)
@@ -232,7 +226,7 @@ def read_clicks(rec: Recording, names: tuple[str, ...]) -> tuple[Clicks, ...]:
     """The clicks in every picture."""
     assert rec.photos is not None
     assert rec.photos.clicks is not None
-    table = read_columns(
+    table = tables.read_columns(
         rec.photos.clicks, ("x_px", "y_px"), ("s",), labels=("pose",), kind="table of clicks", strict=True
     )
     s, px = table.get("s"), np.stack([table.get("x_px"), table.get("y_px")], axis=1)
@@ -309,8 +303,8 @@ def _by_length(rec: Recording, loads: PoseLoads, clicks: tuple[Clicks, ...], pro
         body = found_by_length(rec, name, clicks[i], float(loads.clamp[i]))
         views.append(smaller_view(body.sight.view, 1.0 / body.smaller))
         tracks.append(track_in(body))
-        found.append(points_in_plane(views[-1], tracks[-1]))
-    clamp_sd = rec.photos.clamp_sd if math.isfinite(rec.photos.clamp_sd) else MOUNTING_SD
+        found.append(camera.points_in_plane(views[-1], tracks[-1]))
+    clamp_sd = rec.photos.clamp_sd if math.isfinite(rec.photos.clamp_sd) else beam_frame.MOUNTING_SD
     turn = f"{math.degrees(clamp_sd):.2g} deg (sd)"
     text = f"The body's length gives the scale. The pictures are taken as level, and the clamp as written, to {turn}."
     points = PosePoints(
@@ -480,7 +474,7 @@ def along(
         parts = (np.isin(np.arange(stations.count), piece) for piece in pieces)
         sides = np.stack([flanks.first_width(sight, curve, part, stations.length) for part in parts])
         wide = sides.sum(axis=1)
-        usual = float(nan_median(wide)) if math.isnan(width) else width
+        usual = float(signals.nan_median(wide)) if math.isnan(width) else width
         well = np.abs(wide - usual) < ALIKE * usual
         if not well.any():
             break

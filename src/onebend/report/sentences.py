@@ -15,14 +15,10 @@ import numpy as np
 
 from onebend import records
 from onebend.beam.stiffness import UncertainStiffness, half_width_words
-from onebend.learning.attribution import GROUPS
-from onebend.learning.design import Quality
-from onebend.learning.frequencies import ComparedFrequency, Posture
-from onebend.learning.outcome import Comparison, Notice, another_beam, poor_fit
-from onebend.learning.run import Run
+from onebend.learning import attribution, design, frequencies, outcome, run
 
 
-def name_of(findings: Run) -> str:
+def name_of(findings: run.Run) -> str:
     """Names of the learned recordings."""
     return " + ".join(recording.source.name for recording in findings.recordings)
 
@@ -141,7 +137,7 @@ def counted(count: int, what: str) -> str:
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
-def worst_tag(comparison: Comparison) -> str:
+def worst_tag(comparison: outcome.Comparison) -> str:
     """The largest RMS, with its tag."""
     if not np.isfinite(comparison.rms).any():
         return UNKNOWN
@@ -150,12 +146,12 @@ def worst_tag(comparison: Comparison) -> str:
     return whole.replace("tag ", "tag\N{NO-BREAK SPACE}").replace(" mm", "\N{NO-BREAK SPACE}mm")
 
 
-def tag_words(comparison: Comparison, index: int) -> str:
+def tag_words(comparison: outcome.Comparison, index: int) -> str:
     """As `marker_words`."""
     return records.marker_words(int(comparison.tag_id[index]), float(comparison.marker_s[index]))
 
 
-def legend_words(comparison: Comparison, index: int, *, place: bool = False) -> str:
+def legend_words(comparison: outcome.Comparison, index: int, *, place: bool = False) -> str:
     """For legends: "tag 3", with its place "tag 3, s = 1"; of a point of an outline its place alone."""
     number, s = int(comparison.tag_id[index]), float(comparison.marker_s[index])
     at = f"s = {s:.3g}"
@@ -234,7 +230,7 @@ def _pair(values: Iterable[float], unit: str) -> str:
     return ", ".join(significant(value) for value in values) + f" {unit}"
 
 
-def assumptions(findings: Run) -> list[str]:
+def assumptions(findings: run.Run) -> list[str]:
     """Assumptions behind the result."""
     recording = findings.recordings[0]
     rest = "straight when nothing pushes it" if recording.stated.rest == "straight" else "of unknown shape at rest"
@@ -272,12 +268,12 @@ def _loading(recording: records.Observations) -> list[str]:
     ]
 
 
-def _allowed(findings: Run) -> str:
+def _allowed(findings: run.Run) -> str:
     none = "It neither stretches nor shears, and the material does not relax."
     if findings.posterior is None:
         return none
     inside = {one.name for recording in findings.posterior.recordings for one in recording.allowances}
-    names = [name for name, blocks in GROUPS.items() if inside & set(blocks)]
+    names = [name for name, blocks in attribution.GROUPS.items() if inside & set(blocks)]
     return f"The fit also allows for {', '.join(names)}." if names else none
 
 
@@ -336,7 +332,7 @@ class _Template(Formatter):
     def format_field(self, value: Any, format_spec: str) -> str:
         if format_spec in _WORDS_OF:
             return _WORDS_OF[format_spec](value)
-        if isinstance(value, Notice):
+        if isinstance(value, outcome.Notice):
             return words(value)
         unit = _UNIT.fullmatch(format_spec)
         if unit is None:
@@ -350,7 +346,7 @@ def say(code: str, **values: Any) -> str:
     return _Template().format(SENTENCES[code].text, **values)
 
 
-def words(notice: Notice) -> str:
+def words(notice: outcome.Notice) -> str:
     """The sentence of a notice, with its recording if there are several."""
     whose = f"{notice.whose}: " if notice.whose else ""
     if "causes" in notice.values and notice.code.startswith("more"):
@@ -358,19 +354,19 @@ def words(notice: Notice) -> str:
     return whose + say(notice.code, **notice.values)
 
 
-def worded(notices: Iterable[Notice | records.Remark]) -> tuple[records.Remark, ...]:
+def worded(notices: Iterable[outcome.Notice | records.Remark]) -> tuple[records.Remark, ...]:
     """Notices as warnings (with a section in docs/troubleshooting.md) or notes."""
     return tuple(one if isinstance(one, records.Remark) else _worded(one) for one in notices)
 
 
-def _worded(notice: Notice) -> records.Remark:
+def _worded(notice: outcome.Notice) -> records.Remark:
     causes = notice.values.get("causes", ())
     about = SENTENCES[causes[0].code if causes else notice.code].about
     level: Literal["warning", "note"] = "warning" if about else "note"
     return records.Remark(level, words(notice), about=about)
 
 
-def remedy(cause: Notice) -> str:
+def remedy(cause: outcome.Notice) -> str:
     """What to do about a cause."""
     sentence, values = SENTENCES[cause.code], cause.values
     if values["static"] and sentence.do_for_poses:
@@ -379,7 +375,7 @@ def remedy(cause: Notice) -> str:
     return _Template().format(do, **values)
 
 
-def _more(notice: Notice) -> str:
+def _more(notice: outcome.Notice) -> str:
     values = notice.values
     parts = [say(notice.code)]
     if values["symptoms"]:
@@ -394,19 +390,19 @@ def _more(notice: Notice) -> str:
     return ". ".join([*parts, say("more: change" if np.isfinite(values["change"]) else "more: another", **change)])
 
 
-def pair_remarks(comparison: Comparison, observations: records.Observations) -> list[records.Remark]:
+def pair_remarks(comparison: outcome.Comparison, observations: records.Observations) -> list[records.Remark]:
     """Remarks on one validation."""
-    missed = poor_fit(comparison, other=True) or another_beam(comparison)
+    missed = outcome.poor_fit(comparison, other=True) or outcome.another_beam(comparison)
     return [*observations.source.remarks, *worded((*comparison.remarks, *missed))]
 
 
-def all_remarks(findings: Run) -> list[tuple[str, records.Remark]]:
+def all_remarks(findings: run.Run) -> list[tuple[str, records.Remark]]:
     """Every remark once, with its recording; warnings first."""
     found: dict[tuple[str, str], tuple[str, records.Remark]] = {}
     groups = [(name_of(findings), list(findings.remarks))]
     for comparison, recording in zip(findings.trainings, findings.recordings, strict=True):
         # For static poses this is a notice of the fit.
-        missed = () if comparison.static and findings.posterior else poor_fit(comparison)
+        missed = () if comparison.static and findings.posterior else outcome.poor_fit(comparison)
         groups.append((comparison.name, [*recording.source.remarks, *worded((*comparison.remarks, *missed))]))
     for comparison, recording in zip(findings.validations, findings.validation_observations, strict=True):
         groups.append((comparison.name, pair_remarks(comparison, recording)))
@@ -457,7 +453,7 @@ def _range(values: records.Array, unit: str) -> str:
     return f"{least} {unit}" if least == most else f"{least} to {most} {unit}"
 
 
-def posture_words(posture: Posture) -> str:
+def posture_words(posture: frequencies.Posture) -> str:
     """Orientation of the base, and mass at the tip."""
     x, y = posture.gravity.tolist()
     size = float(np.hypot(x, y))
@@ -469,7 +465,7 @@ def posture_words(posture: Posture) -> str:
     return f"{held}, {1e3 * tip:.3g} g at the tip" if tip > 0.0 else held
 
 
-def _swing(row: ComparedFrequency, kind: Literal["validated", "fitted", "odd"]) -> str:
+def _swing(row: frequencies.ComparedFrequency, kind: Literal["validated", "fitted", "odd"]) -> str:
     measured = f"mode {row.mode} ({posture_words(row.posture)}) {row.measured:.5g} Hz"
     if kind == "validated":
         return f"{measured}, the beam {row.fitted:.5g} Hz ({100.0 * (row.fitted / row.measured - 1.0):+.2g} %)"
@@ -487,7 +483,7 @@ def _poses(off: tuple[tuple[str, float], ...]) -> str:
     return named + (f" and {len(off) - _MOST_POSES} more" if len(off) > _MOST_POSES else "")
 
 
-def _identified(quality: Quality) -> str:
+def _identified(quality: design.Quality) -> str:
     if quality.identified in (0.0, 1.0):
         return "identified all along" if quality.identified else "identified nowhere"
     if quality.identified_to > quality.identified - 0.02:
