@@ -29,7 +29,7 @@ from onebend.errors import MechanicsError, ResultsError
 from onebend.files.single_file import write_file
 from onebend.learning.outcome import Notice
 from onebend.progress import one_blas_thread
-from onebend.recording.schema import Check, Mistakes, key, keys_of, number, one_of, read_table, report_unknown
+from onebend.recording.schema import Mistakes, key, keys_of, number, one_of, read_table, report_unknown, several
 from onebend.records import Array
 from onebend.text_files import read_toml
 
@@ -176,18 +176,6 @@ FORMAT = 1
 TABLES = ("beam", "width", "material")
 
 
-def _numbers(least: int, item: Check) -> Check:
-    def check(value: Any) -> tuple[float, ...]:
-        if not isinstance(value, list) or len(value) < least:
-            raise ValueError(f"a list of at least {least} numbers")
-        try:
-            return tuple(float(item(entry)) for entry in value)
-        except ValueError as wrong:
-            raise ValueError(f"a list in which each entry is {wrong}") from None
-
-    return check
-
-
 @dataclass(frozen=True)
 class SizeEntry:
     """[beam]: outer sizes."""
@@ -201,13 +189,13 @@ class WidthEntry:
     """[width]: the size in the plane of bending, a polynomial or a table."""
 
     polynomial: tuple[float, ...] = key(
-        "polynomial_m = [0.010, 0.010]", _numbers(1, number()), "the width's coefficients of s^0, s^1, ..., m", ()
+        "polynomial_m = [0.010, 0.010]", several(number(), least=1), "the width's coefficients of s^0, s^1, ..., m", ()
     )
     s: tuple[float, ...] = key(
-        "s = [0.0, 0.5, 1.0]", _numbers(2, number(least=0, most=1)), "places from 0 (clamp) to 1 (tip)", ()
+        "s = [0.0, 0.5, 1.0]", several(number(least=0, most=1), least=2), "places from 0 (clamp) to 1 (tip)", ()
     )
     width: tuple[float, ...] = key(
-        "width_m = [0.02, 0.01, 0.02]", _numbers(2, number(above=0)), "the width at each place of s, m", ()
+        "width_m = [0.02, 0.01, 0.02]", several(number(above=0), least=2), "the width at each place of s, m", ()
     )
     between: Literal["smooth", "straight"] = key(
         'between = "smooth"',

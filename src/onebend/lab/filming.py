@@ -406,18 +406,13 @@ def write_video(
             stream.codec_context.time_base = TIME_BASE
             stream.options = {"crf": str(crf), "preset": PRESET, "threads": "1"}
             for time, picture in frames:
-                frame = video_frame(picture)
+                planes = np.concatenate([plane.ravel() for plane in picture.planes]).reshape(-1, size[0])
+                frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
                 frame.pts, frame.time_base = round(time / TIME_BASE), TIME_BASE
                 container.mux(stream.encode(frame))
             container.mux(stream.encode(None))
     except av.error.FFmpegError as wrong:
         raise RecordingError(f"{path} cannot be encoded as H.264: {wrong.strerror}") from None
-
-
-def video_frame(picture: rendering.Picture) -> av.VideoFrame:
-    rows, columns = picture.y.shape
-    stacked = np.concatenate([picture.y.ravel(), picture.u.ravel(), picture.v.ravel()])
-    return av.VideoFrame.from_ndarray(stacked.reshape(rows * 3 // 2, columns), format="yuv420p")
 
 
 WAVES = 24  # of a shake, per axis

@@ -142,7 +142,8 @@ def swing_signals(
     if rec.video is None:
         raise RecordingError(f"{rec.folder}: nothing in it moves. Give a film or tracks of a free swing, or a table")
     detections = detect(rec.video, rec.tags, threads=threads, progress=progress)
-    return tracks.signals_of_markers(measure_markers(detections.of_searched()[0], rec), rec.name)
+    markers = measure_markers(detections.of_searched()[0], rec)
+    return tracks.signals_of_places(rec.name, markers.time, markers.xy)
 
 
 @one_blas_thread

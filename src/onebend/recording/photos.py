@@ -153,7 +153,8 @@ def measured(
         if trace is not None:
             views = zip(range(count)[part], base_views(rec, one, some.corners[:, 0]), strict=True)
             one = tags.markers(joined([trace(i, view) for i, view in views]))
-        found.append(with_camera_as_noise(one))
+        # These fits have no unknowns of the camera: the doubt about it goes into every picture's covariance.
+        found.append(replace(one, covariance=covariance_with_camera(one), by_camera=None))
     remarks = {remark.text: remark for one in found for remark in one.remarks}.values()
     return replace(
         found[0],
@@ -173,11 +174,6 @@ def base_views(rec: Recording, markers: Markers, corners: Array) -> list[View]:
     xy, angle = lay_square(to_plane(markers.view, corners))
     xy, angle = np.nan_to_num(xy), np.nan_to_num(angle - rec.tags.on_base[0].turn)
     return [view_of(markers.view, *one) for one in zip(xy, angle.tolist(), strict=True)]
-
-
-def with_camera_as_noise(markers: Markers) -> Markers:
-    """The doubt about camera and plane in every picture's covariance, for fits that have no unknowns of the camera."""
-    return replace(markers, covariance=covariance_with_camera(markers), by_camera=None)
 
 
 def in_beam_frame(rec: Recording, markers: Markers, loads: PoseLoads) -> tuple[Markers, float, tuple[Remark, ...]]:

@@ -549,12 +549,12 @@ def signals_of_table(path: Path) -> SwingSignals:
 def signals_of_tracks(rec: Recording) -> SwingSignals:
     """Of the markers of a recording, or of its curve, in the tracker's plane."""
     tracks, base = read_tracks(rec), len(rec.tags.on_base)
-    return _places(rec.name, tracks.time, tracks.xy[:, base:])
+    return signals_of_places(rec.name, tracks.time, tracks.xy[:, base:])
 
 
-def signals_of_markers(markers: Markers, name: str) -> SwingSignals:
-    """Of tags in a film, against the base tag."""
-    return _places(name, markers.time, markers.xy)
+def signals_of_places(name: str, time: Array, xy: Array) -> SwingSignals:
+    """Of points (T, m, 2) m, such as tags in a film against the base tag."""
+    return SwingSignals(name, time, xy.reshape(len(time), -1))
 
 
 def _of_points(path: Path) -> SwingSignals:
@@ -563,11 +563,7 @@ def _of_points(path: Path) -> SwingSignals:
     ids, column = np.unique(table.get("id"), return_inverse=True)
     places = np.full((len(time), len(ids), 2), np.nan)
     places[row, column] = np.stack([table.get("x_m"), table.get("y_m")], axis=1)
-    return _places(path.name, time, places)
-
-
-def _places(name: str, time: Array, xy: Array) -> SwingSignals:
-    return SwingSignals(name, time, xy.reshape(len(time), -1))
+    return signals_of_places(path.name, time, places)
 
 
 def measured_frequencies(rec: Recording) -> tuple[MeasuredFrequency, ...]:

@@ -99,7 +99,7 @@ def overview(folder: Path | str) -> Overview:
         remarks = [*seen.source.remarks]
     if preview is not None:
         remarks += preview.remarks
-        remarks += _force_remarks(recording, log)
+        remarks += () if log is None else force_log.size_remarks(_largest(recording, log), recording.beam.mass)
     faults = [] if preview is None else _faults(recording, preview, film, log)
     return Overview(recording.name, tuple(rows), tuple(remarks), tuple(faults), recording, preview, seen, log, curves)
 
@@ -164,10 +164,6 @@ def tared(description: Recording, log: ForceLog) -> Array:
         force = -force
     first = max(5, len(force) // 50)
     return np.asarray(force - np.median(force[:first], axis=0))
-
-
-def _force_remarks(description: Recording, log: ForceLog | None) -> tuple[Remark, ...]:
-    return () if log is None else force_log.size_remarks(_largest(description, log), description.beam.mass)
 
 
 def _refuse_apart(description: Recording, seconds: float, log: ForceLog) -> None:
