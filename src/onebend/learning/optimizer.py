@@ -10,12 +10,10 @@ import numpy as np
 
 from onebend.beam.stiffness import Profile
 from onebend.errors import LearningError
-from onebend.learning import linear
+from onebend.learning import condensed, frequencies, linear, normal, parameters, static_poses
 from onebend.learning.allowances import BETWEEN, EVERY_ALLOWANCE, Sizes, between_recordings
-from onebend.learning.condensed import worth
 from onebend.learning.fit_data import FitData, fit_data
 from onebend.learning.frames import chosen_frames, distances, evenly_spread, marker_rms
-from onebend.learning.frequencies import frequency_data
 from onebend.learning.hyperparameters import (
     Evidence,
     averaged_posterior,
@@ -26,10 +24,7 @@ from onebend.learning.hyperparameters import (
     new_noise,
     with_sites,
 )
-from onebend.learning.normal import InformationForm, JointCovariance
-from onebend.learning.parameters import Layout, Spline, known_shape, make_layout
 from onebend.learning.prediction import Prediction, predict
-from onebend.learning.static_poses import pose_rms, unexplained
 from onebend.options import NOT_NEGATIVE, option
 from onebend.progress import Progress, Silent, each
 from onebend.records import CLAMP_SD, Array, BoolArray, Observations, covariance_with_camera, marker_words
@@ -81,7 +76,7 @@ class _Linearised:
         """Information of all data and the prior, with each recording's own parameters in z."""
         problem, estimate = self.problem, self.estimate
 
-        def of(number: int, rows: linear.ResidualRows, noise: linear.RecordingNoise) -> InformationForm:
+        def of(number: int, rows: linear.ResidualRows, noise: linear.RecordingNoise) -> normal.InformationForm:
             return linear.own_in_z(
                 linear.recording_information(problem, number, rows, estimate.x, noise), self.before, number
             )
@@ -424,7 +419,7 @@ class Optimum:
     """The posterior, and why the optimizer stopped."""
 
     x: Array  # (P,) log k's mean over its hyperparameters, and all else where it is most probable with that
-    covariance: JointCovariance
+    covariance: normal.JointCovariance
     jumps: Array  # (p - 1,) mean steps of log k from coefficient to coefficient, without the smooth part
     shape: Array  # (levels, S) of the bands of log k, see `UncertainStiffness`
     hyperparameters: linear.Hyperparameters
@@ -532,7 +527,7 @@ def _coarse(problem: linear.FitProblem, predictions: Sequence[Prediction]) -> li
 
 
 def _at_mean_stiffness(
-    problem: linear.FitProblem, estimate: MapEstimate, log_k: Array, covariance: JointCovariance
+    problem: linear.FitProblem, estimate: MapEstimate, log_k: Array, covariance: normal.JointCovariance
 ) -> tuple[Array, tuple[Prediction, ...]]:
     """Log k at its mean (p,) and all else at its most probable value; the estimate itself if that fails."""
     p = problem.layout.spline.count
@@ -564,7 +559,7 @@ def _spent(problem: linear.FitProblem, estimate: MapEstimate, rows: Sequence[lin
     data = linear.data_information(problem, rows, x, hyperparameters)
     posterior = linear.solved(data, linear.prior(problem, hyperparameters))
 
-    def of(number: int, form: InformationForm) -> float:
+    def of(number: int, form: normal.InformationForm) -> float:
         others = linear.own_information(problem, number, x)
         return float(np.sum(posterior.pair(number) * (form.matrix - sum(one.matrix for one in others))))
 
@@ -613,12 +608,12 @@ def first_problem(
     recordings: Sequence[Observations], start: Profile | float, settings: FitSettings
 ) -> tuple[linear.FitProblem, Array]:
     """The problem with a few frames of some recordings, and the initial parameters (P,)."""
-    spline, most = Spline(settings.functions), min(settings.first_frames, settings.most_frames)
+    spline, most = parameters.Spline(settings.functions), min(settings.first_frames, settings.most_frames)
     data, layout = _prepared(recordings, [chosen_frames(o, most) for o in recordings], spline, settings)
     noise = tuple(expected_recording_noise(d) for d in data)
     x, level = starting(layout, start)
     expected = linear.Hyperparameters(layout.first_variances, 1.0, 1.0, 1.0, 1.0, noise)
-    return linear.FitProblem(data, layout, level, expected, frequency_data(recordings, spline)), x
+    return linear.FitProblem(data, layout, level, expected, frequencies.frequency_data(recordings, spline)), x
 
 
 def whole_problem(
@@ -626,10 +621,10 @@ def whole_problem(
 ) -> linear.FitProblem:
     """The problem with all frames of all recordings."""
     spline = problem.layout.spline
-    frames = each(lambda o: chosen_frames(o, min(settings.most_frames, worth(o))), recordings)
+    frames = each(lambda o: chosen_frames(o, min(settings.most_frames, condensed.worth(o))), recordings)
     data, layout = _prepared(recordings, frames, spline, settings)
     expected = replace(problem.expected, noise=tuple(expected_recording_noise(d) for d in data))
-    return linear.FitProblem(data, layout, problem.level, expected, frequency_data(recordings, spline))
+    return linear.FitProblem(data, layout, problem.level, expected, frequencies.frequency_data(recordings, spline))
 
 
 def rewritten_problem(
@@ -645,10 +640,10 @@ def rewritten_problem(
 
 
 def _prepared(
-    recordings: Sequence[Observations], frames: Sequence[BoolArray], spline: Spline, settings: FitSettings
-) -> tuple[tuple[FitData, ...], Layout]:
+    recordings: Sequence[Observations], frames: Sequence[BoolArray], spline: parameters.Spline, settings: FitSettings
+) -> tuple[tuple[FitData, ...], parameters.Layout]:
     """Data of the recordings in these frames (T,) of each, and their parameters."""
-    known, allowances = known_shape(recordings), settings.allowances
+    known, allowances = parameters.known_shape(recordings), settings.allowances
 
     def of(number: int, o: Observations, mask: BoolArray) -> FitData:
         data = fit_data(o, number, mask, spline, allowances, known)
@@ -660,10 +655,10 @@ def _prepared(
     knots = [len(d.error.knots) for d in data]
     said = [] if settings.clamp_sd is None else [replace(o.stated, clamp_sd=settings.clamp_sd) for o in recordings]
     stated = [replace(o, stated=one) for o, one in zip(recordings, said, strict=True)] if said else list(recordings)
-    return data, make_layout(spline, stated, knots, [d.allowances for d in data])
+    return data, parameters.make_layout(spline, stated, knots, [d.allowances for d in data])
 
 
-def starting(layout: Layout, start: Profile | float) -> tuple[Array, float]:
+def starting(layout: parameters.Layout, start: Profile | float) -> tuple[Array, float]:
     """Parameters (P,) and the level of log k to begin with."""
     s = np.linspace(0.0, 1.0, 8 * layout.spline.count)
     k = np.full(len(s), float(start)) if isinstance(start, float | int) else np.asarray(start(s))
@@ -777,7 +772,9 @@ def _explained(prediction: Prediction) -> BoolArray:
     off = data.off(prediction.pose)
     if data.poses is None or len(off) == 1:
         return np.ones(len(off), dtype=bool)
-    return ~unexplained(np.where(_is_free(data), pose_rms(off), 0.0), data.observations.length)
+    return ~static_poses.unexplained(
+        np.where(_is_free(data), static_poses.pose_rms(off), 0.0), data.observations.length
+    )
 
 
 def _same(before: BoolArray, now: BoolArray, found: Prediction, again: Prediction) -> bool:

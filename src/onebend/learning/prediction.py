@@ -9,11 +9,8 @@ from itertools import accumulate
 
 import numpy as np
 
-from onebend.beam import sensitivity
-from onebend.beam.continuation import ContinuationSettings, follow, refine
-from onebend.beam.grid import apply, paired, solve_each
+from onebend.beam import continuation, grid, sensitivity, statics
 from onebend.beam.problem import Problem
-from onebend.beam.statics import Equilibrium, gradient, tangent
 from onebend.beam.stiffness import RectangularSection, UncertainStiffness
 from onebend.learning import allowances as effects
 from onebend.learning.fit_data import FitData
@@ -32,7 +29,7 @@ from onebend.records import Array, BoolArray, IntArray, Observations
 class BentBeam:
     """Equilibria of F frames on Q nodes, and what the parameters change in their balance."""
 
-    solved: Equilibrium
+    solved: statics.Equilibrium
     on_nodes: Array  # (Q, p) or (F, Q, p): the functions of log k
     rest_on_nodes: Array  # (Q, 3) or (F, Q, 3): the functions of the rest curvature
     push: Array  # (F, 2) N, or (F, 3) with a moment [N m]
@@ -128,7 +125,7 @@ def allowed(
     return sum((a.basis @ value(a.name) for a in allowances if a.enters == enters), start=0.0)
 
 
-def place_responses(solved: Equilibrium, columns: ResponseColumns, s: Array) -> dict[str, Array]:
+def place_responses(solved: statics.Equilibrium, columns: ResponseColumns, s: Array) -> dict[str, Array]:
     """(F, S, 3, n) m, m, rad per unit of each group: of the beam's position and angle at places `s` (S,)."""
     return columns.split(sensitivity.respond(solved, columns.changes).poses(s))
 
@@ -148,7 +145,7 @@ def along_and_across(force: Array, angle: Array) -> tuple[Array, Array]:
 
 def push_forces(push: Array, log_axes: Array, rate: Array) -> dict[str, Array]:
     """(F, 2, 1) N per unit: the push with the "direction" of the log's axes [rad] and its "clock" [s]."""
-    turned = paired(-push[:, 1], push[:, 0])
+    turned = grid.paired(-push[:, 1], push[:, 0])
     return {"direction": turned[..., None], "clock": (rate @ log_axes.T)[..., None]}
 
 
@@ -191,7 +188,7 @@ class TagRide:
     def offset(self) -> Array:
         """(F, m, 2) m from the beam's place to the tag."""
         cos, sin = np.cos(self.angle), np.sin(self.angle)
-        return paired(cos * self.over - sin * self.across, sin * self.over + cos * self.across)
+        return grid.paired(cos * self.over - sin * self.across, sin * self.over + cos * self.across)
 
     def pose(self, xy: Array, origin: Array, turn: Array) -> Array:
         """(F, m, 3) of the tags in the picture, over places `xy` (F, m, 2) m of the beam; `turn` (m,) rad on it."""
@@ -200,7 +197,7 @@ class TagRide:
     def carry(self, response: Array) -> Array:
         """(F, m, 3, P) of the tags in the picture, from that of the beam's places under them."""
         offset, turn = self.offset, response[:, :, 2:]
-        lever = paired(-offset[..., 1], offset[..., 0])
+        lever = grid.paired(-offset[..., 1], offset[..., 0])
         xy = response[:, :, :2] + lever[..., None] * turn
         if self.ruler:
             xy = np.stack([np.zeros_like(xy[:, :, 0]), xy[:, :, 1] - self.slope[..., None] * xy[:, :, 0]], axis=2)
@@ -217,16 +214,16 @@ class TagRide:
         if self.ruler:
             return self._ruler_motion(xy)
         cos, sin = np.cos(self.angle), np.sin(self.angle)
-        tangent = paired(cos, sin)
+        tangent = grid.paired(cos, sin)
         turning = (self.across * bend)[..., None] * tangent
         along = self.scale * ((tangent if onward is None else onward) - turning)
-        return TagMotion(along, bend, self.scale * paired(-sin, cos), xy)
+        return TagMotion(along, bend, self.scale * grid.paired(-sin, cos), xy)
 
     def _ruler_motion(self, xy: Array) -> TagMotion:
         """Of rulers, which read y at a fixed x."""
         nothing, one = np.zeros_like(self.slope), np.ones_like(self.slope)
-        origin = np.stack([paired(nothing, nothing), paired(-self.slope, one)], axis=2)
-        return TagMotion(paired(nothing, self.slope), nothing, paired(nothing, one), xy, origin)
+        origin = np.stack([grid.paired(nothing, nothing), grid.paired(-self.slope, one)], axis=2)
+        return TagMotion(grid.paired(nothing, self.slope), nothing, grid.paired(nothing, one), xy, origin)
 
 
 def put_blocks(out: Array, columns: Mapping[str, slice], blocks: Mapping[str, Array]) -> None:
@@ -341,7 +338,7 @@ class State:
             return None
         return effects.memory(*self.relaxation)
 
-    def ride(self, solved: Equilibrium) -> tuple[Array, TagRide]:
+    def ride(self, solved: statics.Equilibrium) -> tuple[Array, TagRide]:
         """(m,) s of the tags on these equilibria, (F, m) of readings under rulers, and the tags there."""
         data, scale = self.data, 1.0 + float(self.value("scale")[0])
         if data.rulers is not None:
@@ -354,13 +351,13 @@ class State:
         return s, TagRide(solved.angle(s), length * (wanted - s), data.of_tags(self.value("across")), scale)
 
 
-def _relaxed(problem: Problem, remembering: Array, start: Array | None) -> Equilibrium:
+def _relaxed(problem: Problem, remembering: Array, start: Array | None) -> statics.Equilibrium:
     """Equilibria where the material relaxes: each depends on the earlier ones, and all are found together.
 
     `problem` has the curvature at rest of a beam that has not relaxed; `start` (F, Q) are known shapes. Newton's method
     and the shift of the rest take turns. The inverse tangent is kept as long as the updates fall fast.
     """
-    q, rest = follow(problem).q if start is None else start, problem.q0
+    q, rest = continuation.follow(problem).q if start is None else start, problem.q0
 
     def shifted(q: Array) -> Problem:
         return replace(problem, q0=rest + effects.rest_shift(remembering, q - rest, problem.weights))
@@ -369,21 +366,21 @@ def _relaxed(problem: Problem, remembering: Array, start: Array | None) -> Equil
     for _ in range(_MOST_PASSES):
         here = shifted(q)
         inverse = _inverse_tangent(here, q) if inverse is None else inverse
-        update = (inverse @ gradient(here, q)[..., None])[..., 0]
+        update = (inverse @ statics.gradient(here, q)[..., None])[..., 0]
         size = float(np.max(np.abs(update)))
         if not size < _FARTHEST:  # far from equilibrium: Newton's method with a line search
-            q, inverse = refine(here, q).q, None
+            q, inverse = continuation.refine(here, q).q, None
             continue
         q = q - update
         if size < _SETTLED:
             break
         inverse, before = (inverse if size < _FALLING * before else None), size
-    return refine(shifted(q), q)
+    return continuation.refine(shifted(q), q)
 
 
 def _inverse_tangent(problem: Problem, q: Array) -> Array:
     """(F, Q, Q)."""
-    return solve_each(tangent(problem, q), np.broadcast_to(np.eye(q.shape[1]), (*q.shape, q.shape[1])))
+    return grid.solve_each(statics.tangent(problem, q), np.broadcast_to(np.eye(q.shape[1]), (*q.shape, q.shape[1])))
 
 
 def secant_of(prediction: Prediction) -> float:
@@ -512,7 +509,7 @@ class Slopes:
 class Prediction(State):
     """The tags' poses at the parameters of a state."""
 
-    solved: Equilibrium
+    solved: statics.Equilibrium
     s: Array  # (m,) or (F, m) places of the beam under the tags
     riding: TagRide  # the tags there
     on_beam: Array  # (F, m, 2) m, these places in the beam's frame
@@ -582,7 +579,7 @@ def predict(
     x: Array,
     start: Array | None,
     own: Array | None = None,
-    settings: ContinuationSettings = ContinuationSettings(),
+    settings: continuation.ContinuationSettings = continuation.ContinuationSettings(),
 ) -> Prediction:
     """Equilibria and tags for parameters x and each frame's `own` force (F, 2) [N], zero if None, or load (F, 3).
 
@@ -619,7 +616,7 @@ def predict(
     xy = solved.xy(s)
     pose = ride.pose(xy, value("origin"), data.of_tags(value("turn")))
     if data.rulers is not None:
-        pose[..., :2] = paired(data.rulers, pose[..., 1] + value("across"))
+        pose[..., :2] = grid.paired(data.rulers, pose[..., 1] + value("across"))
     for (i, c), zero in zip(zeroed_coordinates(data.observations), value("zero"), strict=True):
         pose[:, i, c] -= zero
     return Prediction(data, layout, x, solved, s, ride, xy, pose + allowed("poses"), force, own)
@@ -692,7 +689,7 @@ def _tag_motion(now: Prediction) -> TagMotion:
     written, on_beam = now.data.observations.length, ride.over <= 0.0
     if ride.ruler:
         return ride.motion(xy, ride.over)
-    bend = np.where(on_beam, apply(solved.problem.grid.value_at(s), solved.q) / written, 0.0)
+    bend = np.where(on_beam, grid.apply(solved.problem.grid.value_at(s), solved.q) / written, 0.0)
     if not now.data.allowances:
         return ride.motion(xy, bend)
     tangent = np.stack([np.cos(ride.angle), np.sin(ride.angle)], axis=-1)
@@ -737,7 +734,7 @@ def few_frames(frames: BoolArray) -> BoolArray:
 
 
 def variances(
-    solved: Equilibrium, observations: Observations, frames: BoolArray, stiffness: UncertainStiffness
+    solved: statics.Equilibrium, observations: Observations, frames: BoolArray, stiffness: UncertainStiffness
 ) -> dict[str, Array]:
     """(m,) m^2 each, variance of the tags' predicted places, mean over the frames: by the band of log k(s), the place
     of the push and the direction of its force.
@@ -755,7 +752,7 @@ def variances(
         turned = np.stack([-force[:, 1], force[:, 0]], axis=1)
         by_moment = sensitivity.respond(solved, sensitivity.of_moment(problem, at)).xy(s)[..., 0]
         by_force = sensitivity.respond(solved, sensitivity.of_force(problem, at)).xy(s)
-        turn = apply(problem.grid.integral_to(at[:, None]), solved.q - problem.q0)[:, 0]  # of the beam, since rest
+        turn = grid.apply(problem.grid.integral_to(at[:, None]), solved.q - problem.q0)[:, 0]  # of the beam, since rest
         away = stated.place_sd**2 + (effects.SLIDE_SD * turn) ** 2  # (T,) m^2
         out["place"] = np.sum((by_moment * across[:, None, None]) ** 2, axis=-1) * away[:, None]
         out["direction"] = np.sum(np.einsum("tmcd,td->tmc", by_force, turned) ** 2, axis=-1) * stated.direction_sd**2

@@ -23,13 +23,10 @@ from scipy.special import ndtri
 
 from onebend.beam.stiffness import SHAPE_LEVELS, SHAPE_PLACES
 from onebend.errors import LearningError
-from onebend.learning import optimizer
+from onebend.learning import hyperparameters, optimizer, parameters, start
 from onebend.learning.criticism import ALARM, Criticism
-from onebend.learning.hyperparameters import with_stiffness_prior
 from onebend.learning.linear import FitProblem, Hyperparameters, log_k_map, prior
 from onebend.learning.normal import JointCovariance
-from onebend.learning.parameters import Layout
-from onebend.learning.start import start_of
 from onebend.progress import Silent
 from onebend.records import PLACE_SD, Array, BoolArray
 
@@ -117,7 +114,7 @@ def under(fit: AtPlace, common: Hyperparameters, least: float = -np.inf) -> AtPl
             value = evidence.posterior(now).log_evidence_of_shared
             if i + 1 == _ROUNDS or not value >= least:
                 break
-            estimate = replace(estimate, hyperparameters=with_stiffness_prior(evidence, now))
+            estimate = replace(estimate, hyperparameters=hyperparameters.with_stiffness_prior(evidence, now))
     except (LearningError, np.linalg.LinAlgError):
         return None
     return AtPlace(fit.place, problem, estimate, value) if np.isfinite(value) else None
@@ -131,7 +128,7 @@ def _begun(fit: AtPlace, place: float, settings: optimizer.FitSettings, *, even:
     try:
         other = optimizer.rewritten_problem([there], problem, settings)
         if even:
-            x[:p] = optimizer.starting(other.layout, start_of([there], None))[0][:p]
+            x[:p] = optimizer.starting(other.layout, start.start_of([there], None))[0][:p]
         else:
             x[:p] += problem.layout.spline.nearest(lambda s: log_ratio(s, fit.place, place))
         begin = optimizer.carried_over(problem, replace(fit.estimate, x=x), other, [0])
@@ -215,7 +212,7 @@ def doubtful(criticism: Criticism) -> bool:
     return bool(criticism.striking) or any(p < _REASON for p in places)
 
 
-def moved_off(layout: Layout, mean: Array) -> float:
+def moved_off(layout: parameters.Layout, mean: Array) -> float:
     """Sds by which the fit itself takes a push away from its written place, the farthest of all recordings."""
     blocks = [block for block in layout.blocks if block.name == "place" and block.start >= 0]
     return max((float(np.max(np.abs(mean[one.where]) / one.prior_sd)) for one in blocks), default=0.0)

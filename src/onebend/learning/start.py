@@ -11,10 +11,7 @@ from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, make_problem
 from onebend.beam.stiffness import Profile, Scaled, Uniform
 from onebend.errors import LearningError
-from onebend.learning import frames as framing, parameters
-from onebend.learning.frequencies import stiffness_level, swinging_mass
-from onebend.learning.outcome import Learned
-from onebend.learning.static_poses import is_held, resolution_of, sets_no_scale, shapes_of
+from onebend.learning import frames as framing, frequencies, outcome, parameters, static_poses
 from onebend.progress import one_blas_thread
 from onebend.records import BoolArray, Observations
 
@@ -30,7 +27,7 @@ _TRIED = np.geomspace(0.05, 200.0, 25)  # k in units of (largest load) x L
 
 
 @one_blas_thread
-def start_of(recordings: Sequence[Observations], learned: Learned | None) -> Profile:
+def start_of(recordings: Sequence[Observations], learned: outcome.Learned | None) -> Profile:
     """The regression's k(s), or the best uniform beam's where that is nearer to the tags of all recordings.
 
     Where the shape of k(s) is stated, the beams tried have that.
@@ -43,12 +40,12 @@ def start_of(recordings: Sequence[Observations], learned: Learned | None) -> Pro
     if parameters.mass_is_open(recordings):
         names = ", ".join(o.source.name for o in recordings if parameters.needs_mass(o))
         raise LearningError(f"{names}: {parameters.NEEDS_MASS}, or guess it first, with `with_mass`")
-    if sets_no_scale(recordings):
+    if static_poses.sets_no_scale(recordings):
         return Uniform(1.0)  # as good as any
-    swung = [Uniform(stiffness_level(recordings))] if any(o.frequencies for o in recordings) else []
+    swung = [Uniform(frequencies.stiffness_level(recordings))] if any(o.frequencies for o in recordings) else []
     if swung and not any(parameters.forced(o) or parameters.weighs(o) for o in recordings):
         return swung[0]  # the tags say nothing of the size
-    tried = _TRIED_HELD if any(is_held(o) for o in recordings) else _TRIED
+    tried = _TRIED_HELD if any(static_poses.is_held(o) for o in recordings) else _TRIED
     unit = max(_largest_load(o, some) for o, some in zip(recordings, frames, strict=True)) * recordings[0].length
     shape, mass = _shape(recordings), _mass(recordings)
     beams = [Beam(recordings[0].length, Scaled(float(unit * k), shape), mass_per_length=mass) for k in tried]
@@ -92,7 +89,7 @@ def _mass_of_swing(recordings: Sequence[Observations], frames: list[BoolArray]) 
     length, load = recordings[0].length, max(_largest_load(o, some) for o, some in zip(recordings, frames, strict=True))
     levels = (load * length * _TRIED).tolist()
     away = [_distance(Beam(length, Uniform(k)), recordings, frames) for k in levels]
-    return swinging_mass(recordings, levels[int(np.argmin(away))])
+    return frequencies.swinging_mass(recordings, levels[int(np.argmin(away))])
 
 
 def _some(o: Observations, most: int = _FRAMES) -> BoolArray:
@@ -110,7 +107,7 @@ def _distances(beams: Sequence[Beam], recordings: Sequence[Observations], frames
     """`_distance` of each beam, infinite without equilibrium. Films of a free end are tried from the stiffest beam on;
     softer ones, which take longest, are left out once the distance grows."""
     away = [np.inf] * len(beams)
-    films, best = not any(o.static or is_held(o) for o in recordings), np.inf
+    films, best = not any(o.static or static_poses.is_held(o) for o in recordings), np.inf
     for i in reversed(range(len(beams))):
         away[i] = _distance(beams[i], recordings, frames)
         best = min(best, away[i])
@@ -127,8 +124,8 @@ def _distance(beam: Beam, recordings: Sequence[Observations], frames: list[BoolA
     total, count = 0.0, 0
     for o, some in zip(recordings, frames, strict=True):
         laden = replace(beam, masses=o.stated.masses)
-        resolution = _ROUGH if o.static and not is_held(o) else resolution_of(o)
-        solved = shapes_of(o, some, make_problem(laden, framing.loads_of(o, some), resolution))
+        resolution = _ROUGH if o.static and not static_poses.is_held(o) else static_poses.resolution_of(o)
+        solved = static_poses.shapes_of(o, some, make_problem(laden, framing.loads_of(o, some), resolution))
         if not np.all(solved.converged):
             return float("inf")
         predicted = framing.points_of(o, some, solved)

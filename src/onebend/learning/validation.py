@@ -16,13 +16,8 @@ from onebend.beam.setup import Bent, SetUp
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
-from onebend.learning import frames as framing, static_poses
-from onebend.learning.allowances import course_of, posture_sd
-from onebend.learning.fit_data import AtRest
-from onebend.learning.frequencies import validated_frequencies
+from onebend.learning import allowances, fit_data, frames as framing, frequencies, parameters, prediction, static_poses
 from onebend.learning.outcome import Comparison, Notice
-from onebend.learning.parameters import NEEDS_MASS, weighs
-from onebend.learning.prediction import few_frames, variances
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, Observations, Remark
 
@@ -43,7 +38,7 @@ def validate(
     beam: Beam,
     observations: Observations,
     *,
-    rest: AtRest | None = None,
+    rest: fit_data.AtRest | None = None,
     stiffness: UncertainStiffness | None = None,
     setup: SetUp | None = None,
 ) -> Comparison:
@@ -62,8 +57,8 @@ def validate(
         here = _Pushed(beam, stiffness, _as_pushed(setup, observations, frames), observations)
         origin = here.setup.origin
         observations = replace(observations, xy=observations.xy - origin, rest_xy=observations.rest_xy - origin)
-    if weighs(observations) and not has_mass(beam):
-        raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
+    if parameters.weighs(observations) and not has_mass(beam):
+        raise LearningError(f"{observations.source.name}: {parameters.NEEDS_MASS}")
     still = _at_rest(beam) if here is None else here.bent(np.zeros((1, 2))).solved
     offset = mounting(still, observations) if rest is None else rest.offset
     parts, every = [], np.flatnonzero(frames)
@@ -99,18 +94,18 @@ def validate(
         else np.hypot(
             np.nan_to_num(sensor_rms), here.spread(framing.evenly_spread(every, _LIKELY_FRAMES, len(frames)))
         ),
-        remarks=notices + (validated_frequencies(beam, observations) if has_mass(beam) else ()),
+        remarks=notices + (frequencies.validated_frequencies(beam, observations) if has_mass(beam) else ()),
         static=observations.static,
     )
 
 
 def marker_misfit(
-    beam: Beam, observations: Observations, frames: BoolArray, rest: AtRest, near: Equilibrium | None = None
+    beam: Beam, observations: Observations, frames: BoolArray, rest: fit_data.AtRest, near: Equilibrium | None = None
 ) -> tuple[Array, Equilibrium]:
     """RMS (m,) [m] of each tag in a few frames as in `validate`, NaN if the beam snaps through, and the equilibria.
     `near`: those of a similar beam. Raises `MechanicsError` if k(s) is not positive."""
-    if weighs(observations) and not has_mass(beam):
-        raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
+    if parameters.weighs(observations) and not has_mass(beam):
+        raise LearningError(f"{observations.source.name}: {parameters.NEEDS_MASS}")
     problem = make_problem(beam, framing.loads_of(observations, frames), static_poses.resolution_of(observations))
     if observations.static:
         solved = static_poses.shapes_of(observations, frames, problem)
@@ -187,9 +182,9 @@ def _likely_rms(
     held ends."""
     if stiffness is None or static_poses.is_held(observations):
         return np.full(len(observations.marker_s), np.nan)
-    few = few_frames(frames)
+    few = prediction.few_frames(frames)
     [solved] = solved_frames(beam, observations, few)
-    parts = variances(solved, observations, few, stiffness)
+    parts = prediction.variances(solved, observations, few, stiffness)
     return np.asarray(np.sqrt(np.nan_to_num(sensor_rms) ** 2 + sum(parts.values())))
 
 
@@ -245,7 +240,7 @@ def _as_pushed(setup: SetUp, o: Observations, frames: BoolArray) -> SetUp:
     the posture a share of the force here. Over all of a push the material has relaxed as k(s) says."""
     sd = setup.prior_sd.copy()
     sd[setup.columns.get("place", slice(0))] = max(o.stated.place_sd, _SAME_PLACE * o.length)
-    sd[setup.columns.get("force error", slice(0))] = posture_sd(course_of(o, frames))
+    sd[setup.columns.get("force error", slice(0))] = allowances.posture_sd(allowances.course_of(o, frames))
     at = float(np.nanmedian(framing.push_places(o)))
     return replace(setup, push_s=at, prior_sd=sd, reached_at_largest=()).renewed(["contact"], length=o.length)
 
