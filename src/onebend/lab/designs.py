@@ -21,8 +21,9 @@ from scipy.interpolate import CubicSpline, make_lsq_spline
 from scipy.linalg import eigvals
 from scipy.optimize import brentq
 
-from onebend.beam import continuation, loads, model, section, statics
+from onebend.beam import continuation, loads, model, statics
 from onebend.beam.problem import Resolution, make_problem
+from onebend.beam.section import SectionProfiles, rectangular_bar
 from onebend.beam.stiffness import Polyline, Powers, Profile, Steps, Table, UncertainStiffness, Uniform
 from onebend.beam.vibration import vibration
 from onebend.errors import MechanicsError, ResultsError
@@ -98,8 +99,8 @@ class Design:
             )
 
     @cached_property
-    def along(self) -> section.SectionProfiles:
-        return section.rectangular_bar(
+    def along(self) -> SectionProfiles:
+        return rectangular_bar(
             Uniform(self.depth), self.width, length=self.length, modulus=self.modulus, density=self.density
         )
 
@@ -458,7 +459,7 @@ def buckling_force(beam: model.Beam) -> float:
 
 def across_depth(design: Design) -> model.Beam:
     """The same bar, bending across its depth."""
-    turned = section.rectangular_bar(
+    turned = rectangular_bar(
         design.width, Uniform(design.depth), length=design.length, modulus=design.modulus, density=design.density
     )
     return model.Beam(design.length, turned.stiffness, mass_per_length=turned.mass_per_length)

@@ -38,7 +38,7 @@ def test_means_of_neighbours_give_the_posterior_of_all_frames(monkeypatch: pytes
     settings = replace(IDEAL, functions=16)
     few = fit([seen], 0.02, settings=settings)
     monkeypatch.setattr(posterior, "condensed", lambda o: o)
-    monkeypatch.setattr(optimizer, "worth", lambda o: len(o.time))
+    monkeypatch.setattr(optimizer.condensed, "worth", lambda o: len(o.time))
     every = fit([seen], 0.02, settings=settings)
     counts = [int(np.sum(one.recordings[0].frames)) for one in (few, every)]
     assert counts[0] <= EACH_PUSH < counts[1] == len(seen.time)
