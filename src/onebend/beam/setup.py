@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from onebend.beam.continuation import follow, refine
-from onebend.beam.grid import Modes
+from onebend.beam.grid import Modes, paired, rotated, unit
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Problem, Resolution, make_problem, share_farther
@@ -177,7 +177,7 @@ class SetUp:
         stretch, shear = RectangularSection(self.thickness).compliance(k, weights, length)
         share = np.maximum(1.0 + part("section"), 0.0) if "section" in self.sizes else np.zeros((1, 1))
         q0 = plain.q0 + (part("curvature", 3) - self._part(self.mean, "curvature", 3)) @ Modes(3).curvature(nodes).T
-        logged = np.exp(-part("gain")) * _turned(force, part("direction")[:, 0])
+        logged = np.exp(-part("gain")) * rotated(force, part("direction")[:, 0])
         base = replace(plain, k=k, length=length, q0=q0, stretch=share * stretch, shear=share * shear)
         beyond, farther = (nodes < push_s).astype(float), share_farther(base, np.full(count, push_s))
         rest = follow(replace(base, alpha0=beam.clamp_angle + part("clamp")))
@@ -214,7 +214,7 @@ class SetUp:
         """
         exact, angle = self._with_zeros("direction", "force error", "gain"), float(np.arctan2(*self.force[::-1]))
         turns, sizes = angle + np.array(_TURNS), np.hypot(*self.force) * np.array(_SHARES)
-        force = (sizes[:, None, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)).reshape(-1, 2)
+        force = (sizes[:, None, None] * unit(turns)).reshape(-1, 2)
         there = exact.bent(beam, known, force, gravity=gravity)
         if not np.any(there.stands):
             raise MechanicsError("the beam does not stand in its set-up under the forces that it was learned from")
@@ -272,7 +272,7 @@ class SetUp:
         """(T, 2) N that the sensor shows for forces (T, 2) on the beam; `moved` (T, 2) as there."""
         on_sensor = force - _of_terms(self._part(self.mean, "force error", _ERRORS), moved)
         turn = np.full(len(force), -self._part(self.mean, "direction", 1)[0])
-        return np.asarray(np.exp(self._part(self.mean, "gain", 1)[0]) * _turned(on_sensor, turn))
+        return np.asarray(np.exp(self._part(self.mean, "gain", 1)[0]) * rotated(on_sensor, turn))
 
     def beyond(self, forces: Array) -> float:
         """How many times as large as in the recording the largest of `forces` (..., 2) [N] is; 0 up to 1.5 times."""
@@ -339,8 +339,7 @@ class Bent:
         s, size = np.array(self.setup.tags), len(self.setup.tags)
         along, across, turn = (self.setup._part(self.numbers, one, size) for one in ("along", "across", "turn"))
         angle = self.solved.angle(s)
-        cos, sin = np.cos(angle), np.sin(angle)
-        away = np.stack([cos * along - sin * across, sin * along + cos * across], axis=-1)
+        away = rotated(paired(along, across), angle)
         return np.concatenate([self.xy(s) + away, (angle + turn)[..., None]], axis=-1)
 
 
@@ -366,9 +365,3 @@ def _least_squares(slopes: Array, off: Array, sd: Array, now: Array) -> Array:
     """(n,) step to the most probable numbers of prior `sd` (n,) about zero, from `now` (n,); noise of sd one."""
     rows = slopes.reshape(-1, len(sd))
     return np.asarray(np.linalg.solve(rows.T @ rows + np.diag(sd**-2), rows.T @ off.ravel() - now / sd**2))
-
-
-def _turned(force: Array, angle: Array) -> Array:
-    """(T, 2) forces turned by angles (T,) [rad]."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.stack([cos * force[:, 0] - sin * force[:, 1], sin * force[:, 0] + cos * force[:, 1]], axis=-1)

@@ -14,13 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
+from onebend.beam.grid import rotated, unit
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution
 from onebend.control.loaded_beam import prepared, trace
 from onebend.control.reach_set import stability_margin
 from onebend.errors import ObservationError
 from onebend.live.history import FrameReader
-from onebend.recording import beam_frame, camera, entries, plane
+from onebend.recording import beam_frame, camera, entries
 from onebend.recording.force import to_beam
 from onebend.records import Array, Detections
 
@@ -44,7 +45,7 @@ class BentModel:
     def poses(self) -> Array:
         """(S, 3) m, m, rad: the beam at `s`."""
         q, alpha = self.pushed.whole(self.state.q), self.pushed.angles(self.state.q)
-        xy = self._length * self._integral @ np.stack([np.cos(alpha), np.sin(alpha)], axis=-1)
+        xy = self._length * self._integral @ unit(alpha)
         turn = float(np.ravel(self.pushed.problem.alpha0)[0]) + self._integral @ q
         return np.column_stack([xy, turn])
 
@@ -117,7 +118,7 @@ class Eye:
         self.camera_sd = float(np.sqrt(np.max(np.trace(shared[0, :, :2, :2], axis1=1, axis2=2))))
         xy, angle = markers.xy.mean(axis=0), markers.angle.mean(axis=0)
         self._turn = angle - self._model[:, 2]
-        self._offset = plane.rotated(xy - self._model[:, :2], -self._model[:, 2])
+        self._offset = rotated(xy - self._model[:, :2], -self._model[:, 2])
         most = 5.0 * rec.tags.placement_sd + 0.01 * rec.beam.length
         if float(np.abs(self._offset).max()) > most:
             worst = int(np.argmax(np.abs(self._offset).max(axis=1)))
@@ -140,7 +141,7 @@ class Eye:
         assert self.reader is not None
         xy, angle, covariance = self.reader.poses(corners)
         angle = angle - self._turn
-        return SeenBeam(arrival, xy - plane.rotated(self._offset, angle), angle, covariance)
+        return SeenBeam(arrival, xy - rotated(self._offset, angle), angle, covariance)
 
 
 def point_between(seen: SeenBeam, s: Array, modelled: Array, length: float) -> tuple[Array, float]:
@@ -153,7 +154,7 @@ def point_between(seen: SeenBeam, s: Array, modelled: Array, length: float) -> t
         return np.full(2, np.nan), math.nan
     places, order = np.append(0.0, s[:-1][shown]), np.argsort(np.append(0.0, s[:-1][shown]), kind="stable")
     off = np.vstack([np.zeros(2), seen.xy[shown] - modelled[:-1][shown, :2]])
-    slope = _tangents(seen.angle[shown]) - _tangents(modelled[:-1][shown, 2])
+    slope = unit(seen.angle[shown]) - unit(modelled[:-1][shown, 2])
     slopes = length * np.vstack([np.zeros(2), slope])
     between = CubicHermiteSpline(places[order], off[order], slopes[order])
     inside = min(at, float(places.max()))
@@ -163,10 +164,6 @@ def point_between(seen: SeenBeam, s: Array, modelled: Array, length: float) -> t
 
 
 _BEYOND = 0.1  # of the length, by which the point may be beyond the last tag that is seen
-
-
-def _tangents(angle: Array) -> Array:
-    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
 class DelayMeter:

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from onebend.beam.grid import Grid, Modes, apply
+from onebend.beam.grid import Grid, Modes, apply, left_of, unit
 from onebend.beam.problem import Problem, riding_beyond
 from onebend.beam.sensitivity import of_mass
 from onebend.beam.setup import MOST_REACHED, posture_terms
@@ -215,7 +215,7 @@ def rubbing(course: PushCourse) -> Allowance | None:
     if not course.pushed or course.friction_sd == 0.0:
         return None
     turn = course.turn_at_push
-    along = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    along = unit(turn)
     across = course.force[:, 1] * along[:, 0] - course.force[:, 0] * along[:, 1]
     sd, basis = np.array([course.friction_sd]), (across[:, None] * along)[..., None]
     return Allowance("rub", "force", "1", ("friction of the tool",), sd, basis, sizes=RARE)
@@ -320,9 +320,8 @@ def gravity_direction(course: PushCourse) -> Allowance | None:
     nodes, stated, gravity = film.problem.grid.nodes, film.observations.stated, film.gravity
     beyond = weight_beyond(film.problem, np.asarray(film.line(nodes))[..., None], gravity)[..., 0]
     beyond = beyond + riding_beyond(nodes, stated.masses)[..., None] * gravity[:, None, :]
-    turned = np.stack([-beyond[..., 1], beyond[..., 0]], axis=-1)
-    sd = np.array([stated.gravity_sd])
-    return Allowance("gravity direction", "load", "rad", ("gravity's direction",), sd, turned[..., None])
+    sd, turned = np.array([stated.gravity_sd]), left_of(beyond)[..., None]
+    return Allowance("gravity direction", "load", "rad", ("gravity's direction",), sd, turned)
 
 
 def weight_beyond(problem: Problem, line: Array, gravity: Array) -> Array:

@@ -163,9 +163,7 @@ _OF_EVERY_BENCH = (
     "direction of the force",
 )
 WIDENS = 1.1  # the band, at least
-_MUCH = float(
-    np.sqrt(1.0 - 1.0 / WIDENS**2)
-)  # of the sd of log k: the change to be expected of what widens it by so much
+_MUCH = float(np.sqrt(1.0 - 1.0 / WIDENS**2))  # of the sd of log k: the change to be expected of what widens it so
 SHIFTS, _SURE = 0.02, 2.0  # log k, at least, by something that is so many sd from nothing
 _LEAST_LEFT = 1e-4  # of the variance: what is left at least
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.special import chdtrc, fdtrc
 
-from onebend.beam.grid import apply
+from onebend.beam.grid import apply, left_of, unit
 from onebend.beam.sensitivity import Perturbation, of_clamp_angle, of_rest_curvature, of_stiffness
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import UncertainStiffness
@@ -134,7 +134,6 @@ def _entering(data: fit_data.FitData, now: prediction.Prediction) -> dict[str, P
     force = problem.dead_force
     product = (np.sum(force * u, axis=-1) * np.sum(force * n, axis=-1))[..., None] * n
     pushed = data.beyond[..., None] * now.force[:, None, :]
-    turned = np.stack([-pushed[..., 1], pushed[..., 0]], axis=-1)
     along, across = prediction.along_and_across(now.force, solved.angle(data.push_s[:, None])[:, 0])
     loaded = (np.arange(len(force)) < int(np.sum(data.frames))).astype(float)
     sag = (loaded[:, None] * (1.0 - problem.grid.nodes))[..., None, None] * np.eye(2)
@@ -144,7 +143,7 @@ def _entering(data: fit_data.FitData, now: prediction.Prediction) -> dict[str, P
         "length": _force(force),
         "push place": prediction.push_moment(problem, data.push_s, float(problem.length) * across),
         "push beside": prediction.push_moment(problem, data.push_s, -along),
-        "force direction": _force(turned),
+        "force direction": _force(left_of(pushed)),
         "axis scale": _force(pushed * np.array([1.0, -1.0])),
         "weight": Perturbation(sag, None, None, np.zeros(2)),
         "viscous": Perturbation(None, None, (_rate(data, solved), np.ones((force.shape[1], 1))), np.zeros(1)),
@@ -219,8 +218,8 @@ def _in_time(pattern: Array, run: Course) -> Array:
 
 def _tangents(solved: Equilibrium) -> tuple[Array, Array]:
     """(F, Q, 2) along and across the beam at the nodes."""
-    cos, sin = np.cos(solved.alpha), np.sin(solved.alpha)
-    return np.stack([cos, sin], axis=-1), np.stack([-sin, cos], axis=-1)
+    along = unit(solved.alpha)
+    return along, left_of(along)
 
 
 def _force(force: Array) -> Perturbation:

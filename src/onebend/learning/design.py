@@ -70,11 +70,7 @@ def solve_push(beam: Beam, bench: Instruments, candidate: PlannedPush) -> static
 def _forces(candidate: PlannedPush) -> Array:
     """(F, 2) N in the steps of a push, and none at rest."""
     steps = np.append((np.arange(STEPS) + 0.5) / STEPS, 0.0)
-    return candidate.largest * steps[:, None] * _unit(candidate.direction)
-
-
-def _unit(direction: float) -> Array:
-    return np.array([np.cos(direction), np.sin(direction)])
+    return candidate.largest * steps[:, None] * grid.unit(candidate.direction)
 
 
 def tag_derivatives(
@@ -148,7 +144,7 @@ def force_covariance(bench: Instruments, candidate: PlannedPush) -> Array:
     force along the push."""
     one = _doubt_of_axis(bench.force, bench.seconds, bench.rest_before, bench.rest_after)
     one = one + np.eye(STEPS) * bench.force.frame**2 * STEPS / bench.frames
-    rate = np.tile(candidate.largest / bench.seconds * _unit(candidate.direction), STEPS)
+    rate = np.tile(candidate.largest / bench.seconds * grid.unit(candidate.direction), STEPS)
     return np.asarray(np.kron(one, np.eye(2)) + bench.clock_sd**2 * np.outer(rate, rate))
 
 
@@ -297,7 +293,7 @@ def _reach_at(beam: Beam, bench: Instruments, at_s: float, directions: Array, li
 def _first_break(
     beam: Beam, bench: Instruments, at_s: float, direction: float, sizes: Array, limits: Limits
 ) -> tuple[float, float, str]:
-    forces = np.append(sizes, 0.0)[:, None] * _unit(direction)
+    forces = np.append(sizes, 0.0)[:, None] * grid.unit(direction)
     solved = continuation.follow(make_problem(beam, loads_of(bench, at_s, forces), RESOLUTION))
     broken = _broken(solved, bench, at_s, direction, limits)
     first = {why: int(np.argmax(rows[:-1])) for why, rows in broken.items() if np.any(rows[:-1])}
@@ -332,7 +328,9 @@ def _most_force(bench: Instruments, limits: Limits) -> float:
 
 
 def _stands(beam: Beam, bench: Instruments, at_s: float, direction: float, force: float) -> bool:
-    solved = continuation.follow(make_problem(beam, loads_of(bench, at_s, force * _unit(direction)[None]), RESOLUTION))
+    solved = continuation.follow(
+        make_problem(beam, loads_of(bench, at_s, force * grid.unit(direction)[None]), RESOLUTION)
+    )
     return bool(solved.stable[0] and np.isnan(solved.buckled_at[0]))
 
 

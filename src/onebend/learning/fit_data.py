@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from onebend.beam.grid import Grid, Modes, angles, places, positions
+from onebend.beam.grid import Grid, Modes, angles, left_of, places, positions, rotated, unit
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Problem, Resolution, make_problem, share_farther
@@ -58,9 +58,7 @@ def at_rest(observations: Observations) -> AtRest:
         theta = _rest_states(o, known, bent_sd)
     at = places(o.length, _REST_MODES, o.marker_s)
     alpha = angles(at, theta[None])[0]
-    away = o.rest_xy - positions(at, theta[None])[0]
-    cos, sin = np.cos(alpha), np.sin(alpha)
-    offset = np.stack([cos * away[:, 0] + sin * away[:, 1], -sin * away[:, 0] + cos * away[:, 1]], axis=1)
+    offset = rotated(o.rest_xy - positions(at, theta[None])[0], -alpha)
     turn = np.nan_to_num(o.rest_angle - alpha)  # a marker without an angle has no turn
     return AtRest(theta, np.where(known[:, None], offset, 0.0), np.where(known, turn, 0.0), seen=True)
 
@@ -73,10 +71,7 @@ def beam_points(observations: Observations, rest: AtRest) -> tuple[Array, Array]
     tangent = observations.angle - rest.turn
     turned = np.where(np.isfinite(tangent), tangent, chord_angles(observations.xy, observations.marker_s))
     turned = np.where(np.isfinite(turned), turned, 0.0)
-    cos, sin = np.cos(turned), np.sin(turned)
-    dx, dy = rest.offset[:, 0], rest.offset[:, 1]
-    shift = np.stack([cos * dx - sin * dy, sin * dx + cos * dy], axis=-1)
-    return observations.xy - shift, tangent
+    return observations.xy - rotated(rest.offset, turned), tangent
 
 
 def _rest_states(o: Observations, known: BoolArray, bent_sd: float) -> Array:
@@ -264,8 +259,7 @@ def fit_data(
         weights = np.vstack([weights, np.zeros(weights.shape[1])])
         other = rested(other)
     tags, across = tags_among(o), np.zeros((*measured.shape[:2], 2))
-    direction = np.nan_to_num(measured[:, ~tags, 2])
-    across[:, ~tags] = np.stack([-np.sin(direction), np.cos(direction)], axis=-1)
+    across[:, ~tags] = left_of(unit(np.nan_to_num(measured[:, ~tags, 2])))
     measured[:, ~tags, 2] = np.nan
     whiten = pose_whitening(o, measured, covariance, across)
     weighs = bool(np.any(gravity != 0.0))

@@ -60,9 +60,7 @@ class Hyperparameters:
     noise: tuple[RecordingNoise, ...]
     sizes: Sizes = field(default_factory=dict)  # of allowances whose size the evidence chooses; 1 where not named
     sites: Sites = field(default_factory=dict)  # of parameters whose priors are not normal; their moments where absent
-    white: float = (
-        1.0  # of the force error's white part, over what was expected; the data choose it of key frames alone
-    )
+    white: float = 1.0  # of the force error's white part, likewise; the data choose it of key frames alone
     chains: Array | None = None  # where the sampler's chains stand, see `normal.mean_part_variances`
 
     @property

@@ -11,9 +11,9 @@ from typing import Literal
 
 import numpy as np
 
-from onebend.beam.grid import Modes, powers_to_legendre
+from onebend.beam.grid import Modes
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import SHAPE_PLACES, Band, Powers, Profile, Scaled, Table, UncertainStiffness, Uniform
+from onebend.beam.stiffness import SHAPE_PLACES, Band, Profile, Scaled, Table, UncertainStiffness, Uniform, by_legendre
 from onebend.errors import LearningError
 from onebend.learning import attribution, frames, hyperparameters, linear, normal, optimizer, prediction
 from onebend.learning.allowances import BETWEEN, BETWEEN_SD, SHARES
@@ -174,7 +174,7 @@ def mass_per_length(data: Sequence[FitData], layout: Layout, mean: Array, stiffn
     if weighed.stated.mass_along in ("section", "table"):
         return Scaled(1.0 + float(change[0]), frames.mass_profile(weighed))
     if weighed.stated.mass_line is None:
-        return from_legendre(even * (np.array([1.0, 0.0, 0.0, 0.0]) + change))
+        return by_legendre(even * (np.array([1.0, 0.0, 0.0, 0.0]) + change))
     s = np.unique(np.concatenate([np.linspace(0.0, 1.0, 101), weighed.stated.mass_line.s]))
     value = frames.mass_profile(weighed)(s) + even * Modes(len(change)).curvature(s) @ change
     return Table(tuple(s.tolist()), tuple(value.tolist()))
@@ -184,13 +184,6 @@ def riding_masses(data: Sequence[FitData]) -> tuple[PointMass, ...]:
     """What rides on the beam in every recording of it."""
     first, *others = (one.observations.stated.masses for one in data)
     return tuple(one for one in first if all(one in masses for masses in others))
-
-
-def from_legendre(states: Array) -> Profile:
-    """The profile with these Legendre coefficients."""
-    if np.all(states[1:] == 0.0):
-        return Uniform(float(states[0]))
-    return Powers(tuple(np.linalg.solve(powers_to_legendre(len(states)), states).tolist()))
 
 
 def _weighed(data: Sequence[FitData]) -> Observations | None:
@@ -405,7 +398,7 @@ class Posterior:
         return Beam(
             self.recordings[0].observations.length,
             self.stiffness.profile,
-            rest_curvature=from_legendre(self.layout.get(self.mean, "curvature")),
+            rest_curvature=by_legendre(self.layout.get(self.mean, "curvature")),
             mass_per_length=mass_per_length(self.recordings, self.layout, self.mean, self.stiffness),
             masses=riding_masses(self.recordings),
         )

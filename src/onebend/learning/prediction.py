@@ -145,8 +145,7 @@ def along_and_across(force: Array, angle: Array) -> tuple[Array, Array]:
 
 def push_forces(push: Array, log_axes: Array, rate: Array) -> dict[str, Array]:
     """(F, 2, 1) N per unit: the push with the "direction" of the log's axes [rad] and its "clock" [s]."""
-    turned = grid.paired(-push[:, 1], push[:, 0])
-    return {"direction": turned[..., None], "clock": (rate @ log_axes.T)[..., None]}
+    return {"direction": grid.left_of(push)[..., None], "clock": (rate @ log_axes.T)[..., None]}
 
 
 def pushed_by(beyond: Array, load: Array) -> sensitivity.Perturbation:
@@ -187,8 +186,7 @@ class TagRide:
     @cached_property
     def offset(self) -> Array:
         """(F, m, 2) m from the beam's place to the tag."""
-        cos, sin = np.cos(self.angle), np.sin(self.angle)
-        return grid.paired(cos * self.over - sin * self.across, sin * self.over + cos * self.across)
+        return grid.rotated(grid.paired(self.over, self.across), self.angle)
 
     def pose(self, xy: Array, origin: Array, turn: Array) -> Array:
         """(F, m, 3) of the tags in the picture, over places `xy` (F, m, 2) m of the beam; `turn` (m,) rad on it."""
@@ -197,7 +195,7 @@ class TagRide:
     def carry(self, response: Array) -> Array:
         """(F, m, 3, P) of the tags in the picture, from that of the beam's places under them."""
         offset, turn = self.offset, response[:, :, 2:]
-        lever = grid.paired(-offset[..., 1], offset[..., 0])
+        lever = grid.left_of(offset)
         xy = response[:, :, :2] + lever[..., None] * turn
         if self.ruler:
             xy = np.stack([np.zeros_like(xy[:, :, 0]), xy[:, :, 1] - self.slope[..., None] * xy[:, :, 0]], axis=2)
@@ -213,11 +211,10 @@ class TagRide:
         tip. `onward` (F, m, 2): m per m along the beam; None: the tangent, without stretch."""
         if self.ruler:
             return self._ruler_motion(xy)
-        cos, sin = np.cos(self.angle), np.sin(self.angle)
-        tangent = grid.paired(cos, sin)
+        tangent = grid.unit(self.angle)
         turning = (self.across * bend)[..., None] * tangent
         along = self.scale * ((tangent if onward is None else onward) - turning)
-        return TagMotion(along, bend, self.scale * grid.paired(-sin, cos), xy)
+        return TagMotion(along, bend, self.scale * grid.left_of(tangent), xy)
 
     def _ruler_motion(self, xy: Array) -> TagMotion:
         """Of rulers, which read y at a fixed x."""
@@ -692,8 +689,8 @@ def _tag_motion(now: Prediction) -> TagMotion:
     bend = np.where(on_beam, grid.apply(solved.problem.grid.value_at(s), solved.q) / written, 0.0)
     if not now.data.allowances:
         return ride.motion(xy, bend)
-    tangent = np.stack([np.cos(ride.angle), np.sin(ride.angle)], axis=-1)
-    return ride.motion(xy, bend, np.where(on_beam[:, None], solved.xy_by_s(s) / written, tangent))
+    onward = np.where(on_beam[:, None], solved.xy_by_s(s) / written, grid.unit(ride.angle))
+    return ride.motion(xy, bend, onward)
 
 
 def _bent(now: Prediction) -> BentBeam:
@@ -749,7 +746,7 @@ def variances(
         at, force, stated = push_places(observations)[frames], observations.force[frames], observations.stated
         angle = solved.angle(at[:, None])[:, 0]
         _, across = along_and_across(force, angle)
-        turned = np.stack([-force[:, 1], force[:, 0]], axis=1)
+        turned = grid.left_of(force)
         by_moment = sensitivity.respond(solved, sensitivity.of_moment(problem, at)).xy(s)[..., 0]
         by_force = sensitivity.respond(solved, sensitivity.of_force(problem, at)).xy(s)
         turn = grid.apply(problem.grid.integral_to(at[:, None]), solved.q - problem.q0)[:, 0]  # of the beam, since rest

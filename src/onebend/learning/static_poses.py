@@ -9,6 +9,7 @@ import numpy as np
 
 from onebend.beam.clamped_ends import end_pose, hold_near, with_end_wrench
 from onebend.beam.continuation import ContinuationSettings, follow, let_fall, refine, stable_equilibria
+from onebend.beam.grid import left_of, unit
 from onebend.beam.problem import Problem, Resolution
 from onebend.beam.sensitivity import of_force, of_moment, respond
 from onebend.beam.statics import Equilibrium, correct, is_convex, is_stable
@@ -89,7 +90,7 @@ def pose_rms(off: Array) -> Array:
 def across_curve(o: Observations, frames: BoolArray, off: Array) -> Array:
     """(F, m, 2) m, of distances in some frames (T,) what counts: of a curve's points the part across it."""
     direction = np.where(tags_among(o), np.nan, o.angle[frames])
-    normal = np.stack([-np.sin(direction), np.cos(direction)], axis=-1)
+    normal = left_of(unit(direction))
     return np.where(np.isfinite(normal), np.sum(off * normal, axis=-1, keepdims=True) * normal, off)
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from onebend.beam.continuation import follow, refine
+from onebend.beam.grid import rotated
 from onebend.beam.loads import Loads, push
 from onebend.beam.model import Beam
 from onebend.beam.problem import has_mass, make_problem
@@ -85,9 +86,8 @@ def validate(
         force=observations.force[frames],
         push_s=framing.push_places(observations)[frames],
         stable=stable,
-        rms=np.where(
-            np.any(observations.marker_s), framing.marker_rms(measured - predicted), np.nan
-        ),  # no clamp by itself
+        # no clamp by itself
+        rms=np.where(np.any(observations.marker_s), framing.marker_rms(measured - predicted), np.nan),
         sensor_rms=sensor_rms,
         likely_rms=_likely_rms(beam, observations, frames, stiffness, sensor_rms)
         if here is None
@@ -144,10 +144,9 @@ def _at_rest(beam: Beam) -> Equilibrium:
 def mounting(solved: Equilibrium, observations: Observations) -> Array:
     """(m, 2) m, of each tag from its place on the beam at rest, in the tangent's frame; 0 where it was not seen.
     `solved`: one frame with nothing on the beam."""
-    alpha, away = solved.angle(observations.marker_s)[0], observations.rest_xy - solved.xy(observations.marker_s)[0]
-    cos, sin = np.cos(alpha), np.sin(alpha)
-    offset = np.stack([cos * away[:, 0] + sin * away[:, 1], -sin * away[:, 0] + cos * away[:, 1]], axis=1)
-    return np.where(np.isfinite(offset).all(axis=1)[:, None], offset, 0.0)
+    s = observations.marker_s
+    offset = rotated(observations.rest_xy - solved.xy(s)[0], -solved.angle(s)[0])
+    return np.where(np.isfinite(offset).all(axis=1, keepdims=True), offset, 0.0)
 
 
 def _predicted(solved: Equilibrium, observations: Observations, frames: BoolArray, offset: Array) -> Array:
@@ -159,10 +158,7 @@ def _predicted(solved: Equilibrium, observations: Observations, frames: BoolArra
 
 def _tags(solved: Equilibrium, s: Array, offset: Array) -> Array:
     """(T, m, 2) where the tags of the simulated beam are. NaN where the branch of equilibria ended before the load."""
-    angle = solved.angle(s)
-    cos, sin = np.cos(angle), np.sin(angle)
-    dx, dy = offset[:, 0], offset[:, 1]
-    out = solved.xy(s) + np.stack([cos * dx - sin * dy, sin * dx + cos * dy], axis=-1)
+    out = solved.xy(s) + rotated(offset, solved.angle(s))
     return np.asarray(np.where(solved.converged[:, None, None], out, np.nan))
 
 

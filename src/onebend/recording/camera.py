@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from onebend.beam.grid import rotated
 from onebend.errors import ObservationError, RecordingError
 from onebend.recording import plane as planes
 from onebend.recording.entries import CameraEntry, Recording, TagEntry, TagsEntry
@@ -113,7 +114,7 @@ def drop(poses: Poses, wrong: BoolArray) -> Poses:
 
 def relative_to(origin: Poses, poses: Poses) -> Poses:
     """`poses` (T, m) in the frame of `origin` (T, 1), with the uncertainty of both."""
-    xy = planes.rotated(poses.xy - origin.xy, -origin.angle)
+    xy = rotated(poses.xy - origin.xy, -origin.angle)
     cos, sin = np.broadcast_arrays(np.cos(origin.angle), np.sin(origin.angle), xy[..., 0])[:2]
     turn = np.zeros((*xy.shape[:-1], 3, 3))
     turn[..., 0, 0], turn[..., 0, 1], turn[..., 1, 0], turn[..., 1, 1], turn[..., 2, 2] = cos, sin, -sin, cos, 1.0
@@ -201,7 +202,7 @@ def aligned(poses: Poses, first: Poses) -> Poses:
     both = np.isfinite(difference.angle[:, 0])
     if not both.any():
         return poses  # never seen together: its stated place is used
-    moved = poses.xy + planes.rotated(np.median(difference.xy[both, 0], axis=0), poses.angle)
+    moved = poses.xy + rotated(np.median(difference.xy[both, 0], axis=0), poses.angle)
     return Poses(moved, poses.angle + float(np.median(difference.angle[both, 0])), poses.covariance)
 
 

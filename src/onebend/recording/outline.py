@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from onebend.beam.grid import left_of, unit
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, track
 from onebend.recording import camera, entries, flanks, plane, video
@@ -509,13 +510,11 @@ def _from_line(both: Markers, tag: int, before: int, after: int, length: float) 
     span = float(both.s[after] - both.s[before])
     u = float(both.s[tag] - both.s[before]) / span
     ends = [both.xy[:, before], both.xy[:, after]]
-    slopes = [
-        span * length * np.stack([np.cos(both.angle[:, i]), np.sin(both.angle[:, i])], axis=1) for i in (before, after)
-    ]
+    slopes = [span * length * unit(both.angle[:, i]) for i in (before, after)]
     rise = u * u * (3.0 - 2.0 * u)
     line = (1.0 - rise) * ends[0] + rise * ends[1] + u * (1.0 - u) * ((1.0 - u) * slopes[0] - u * slopes[1])
     chord = ends[1] - ends[0]
-    left = np.stack([-chord[:, 1], chord[:, 0]], axis=1) / np.linalg.norm(chord, axis=1)[:, None]
+    left = left_of(chord) / np.linalg.norm(chord, axis=1)[:, None]
     return np.asarray(np.sum((both.xy[:, tag] - line) * left, axis=1))
 
 
@@ -591,8 +590,8 @@ def points_of(
         off = stations.across(predicted) @ (middle.state[t] - found.state[t])
         xy = predicted.xy + off[:, None] * predicted.normal
         at = [np.interp(s, stations.s, values) for values in (*xy.T, smooth.angle)]
-        tangent = np.stack([np.cos(at[2]), np.sin(at[2])], axis=1)
-        there = np.stack(at[:2], axis=1) + away[t][:, None] * np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
+        tangent = unit(at[2])
+        there = np.stack(at[:2], axis=1) + away[t][:, None] * left_of(tangent)
         px[t] = plane.project(view, there) + shift[t]
         ahead[t] = plane.project(view, there + 0.5 / POINTS * stations.length * tangent) + shift[t]
     return OutlineTrack(s, px, ahead, sd)

@@ -13,11 +13,11 @@ from typing import TypeVar
 
 import numpy as np
 
+from onebend.beam.grid import rotated
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, available_cores, track
 from onebend.recording import tag_finder
 from onebend.recording.entries import FAMILIES, TagsEntry, VideoEntry
-from onebend.recording.plane import rotated
 from onebend.recording.signals import copies_in_motion, runs
 from onebend.recording.video import (
     MOST_PIXELS,

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from onebend.beam.grid import rotated
 from onebend.errors import ObservationError, RecordingError
 from onebend.recording import camera, force, outline, signals, stated, tables
 from onebend.recording.entries import FrequencyEntry, GravityEntry, Recording
-from onebend.recording.plane import rotated
 from onebend.records import (
     POINT_ID,
     UNKNOWN_ANGLE_SD,

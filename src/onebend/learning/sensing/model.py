@@ -79,8 +79,7 @@ class Bench:
     @property
     def axes(self) -> Array:
         """(2, 2): takes a force from the recording's frame to that of the clamp, as its direction is known by now."""
-        cos, sin = np.cos(self.value("clamp")), np.sin(self.value("clamp"))
-        return np.array([[cos, sin], [-sin, cos]])
+        return parameters.log_axes(self.layout.get(self.mean, "clamp", 0)).T
 
     def axes_of_loads(self, n: int) -> Array:
         """(n, n): the same for a load."""
