@@ -17,6 +17,7 @@ from onebend.errors import LearningError
 from onebend.learning.allowances import ANYTHING, BETWEEN, EFFECTS, TOLERATED, Allowance
 from onebend.learning.frames import zeroed_coordinates
 from onebend.recording.beam_frame import MOUNTING_SD
+from onebend.records import Array
 
 # Stated shape of k: log k(s) = o(s) + l + e(s) + v(s). o is log I(s) of the section less its mean (zero for an "even"
 # k), l one level, e the effect of errors of the section's sizes, v a slow variation of the modulus: a Gaussian process
@@ -46,15 +47,15 @@ class KnownShape:
             return Uniform(1.0)
         return LogSpline((0.0, 0.0, 1.0, 1.0), (0.0, 0.0), 1, self.offset)
 
-    def offset_at(self, s: records.Array) -> records.Array:
+    def offset_at(self, s: Array) -> Array:
         """`s.shape`: o."""
         return np.zeros(np.shape(s)) if self.offset is None else self.offset(s)
 
-    def errors(self, s: records.Array) -> records.Array:
+    def errors(self, s: Array) -> Array:
         """(S, n) functions whose coefficients, of sd one each, make e(s)."""
         return np.zeros((len(s), 0)) if self.section is None else moment_errors(self.section, s)
 
-    def slow(self, s: records.Array) -> records.Array:
+    def slow(self, s: Array) -> Array:
         """(S, n) functions whose coefficients, of sd one each, make v(s) (Karhunen and Loeve)."""
         apart = _PLACES[:, None] - _PLACES
         values, vectors = np.linalg.eigh(np.exp(-0.5 * (apart / CORRELATION) ** 2))
@@ -120,30 +121,30 @@ class Spline:
     count: int
 
     @cached_property
-    def knots(self) -> records.Array:
+    def knots(self) -> Array:
         """With the ends repeated."""
         inner = np.linspace(0.0, 1.0, self.count - _DEGREE + 1)
         return np.concatenate([np.zeros(_DEGREE), inner, np.ones(_DEGREE)])
 
-    def basis(self, s: records.Array) -> records.Array:
+    def basis(self, s: Array) -> Array:
         """`s.shape + (count,)`."""
         flat = np.clip(np.ravel(s), 0.0, 1.0)
         return np.asarray(BSpline.design_matrix(flat, self.knots, _DEGREE).toarray().reshape(*np.shape(s), self.count))
 
-    def nearest(self, function: Callable[[records.Array], records.Array]) -> records.Array:
+    def nearest(self, function: Callable[[Array], Array]) -> Array:
         """(count, ...) coefficients of the least squares nearest to a function of places s (S,), (S, ...)."""
         s = np.linspace(0.0, 1.0, 8 * self.count)
         return np.asarray(np.linalg.lstsq(self.basis(s), function(s), rcond=None)[0])
 
-    def precision(self, tau: float, rho: float) -> records.Array:
+    def precision(self, tau: float, rho: float) -> Array:
         """(count, count) of the coefficients' prior: a smooth part of roughness tau plus steps of size rho."""
         return self.precision_of(self.variances(tau, rho))
 
-    def precision_of(self, variances: records.Array) -> records.Array:
+    def precision_of(self, variances: Array) -> Array:
         """(count, count) of the coefficients' prior, from the variances (n,) of its parts."""
         return np.asarray(np.linalg.inv((self.parts * variances) @ self.parts.T))
 
-    def variances(self, tau: float | records.Array, rho: float | records.Array) -> records.Array:
+    def variances(self, tau: float | Array, rho: float | Array) -> Array:
         """`tau.shape + (n,)` of the parts: level, slope, the smooth part's `count - 2`, `count - 1` steps, no bumps."""
         out = np.zeros((*np.shape(tau), 3 * self.count - 1))
         out[..., 0], out[..., 1] = LEVEL_SD**2, SLOPE_SD**2
@@ -152,12 +153,12 @@ class Spline:
         return out
 
     @cached_property
-    def gaps(self) -> records.Array:
+    def gaps(self) -> Array:
         """(count - 1,) distances of the places of the coefficients."""
         return np.diff(self._places)
 
     @cached_property
-    def parts(self) -> records.Array:
+    def parts(self) -> Array:
         """(count, n) coefficients of the independent parts that log k is the sum of."""
         s = np.linspace(0.0, 1.0, 101)
         basis = self.basis(s)
@@ -175,7 +176,7 @@ class Spline:
         )
 
     @cached_property
-    def share(self) -> records.Array:
+    def share(self) -> Array:
         """(2 count - 1,) of the beam that each step and each bump stands for."""
         return np.concatenate([self.gaps, np.full(self.count, 1.0 / self.count)])
 
@@ -185,12 +186,12 @@ class Spline:
         return Spline(2 * (self.count - _DEGREE) + _DEGREE)
 
     @cached_property
-    def on_finer(self) -> records.Array:
+    def on_finer(self) -> Array:
         """(count of the finer, count): the same functions by the finer ones' coefficients."""
         return self.finer.nearest(self.basis)
 
     @cached_property
-    def unseen(self) -> records.Array:
+    def unseen(self) -> Array:
         """(count - 1, f, f) covariance of the spline's error for a step between two coefficients, in finer splines."""
         at = self.finer._places
         whole = self.basis(at)
@@ -202,12 +203,12 @@ class Spline:
         return np.stack(out)
 
     @cached_property
-    def _places(self) -> records.Array:
+    def _places(self) -> Array:
         """(count,) where the coefficients act (Greville)."""
         return np.array([np.mean(self.knots[i + 1 : i + 1 + _DEGREE]) for i in range(self.count)])
 
     @cached_property
-    def _bending(self) -> records.Array:
+    def _bending(self) -> Array:
         """(count, count) `int b_i'' b_j'' ds`: exact with four Gauss points a piece."""
         x, w = np.polynomial.legendre.leggauss(4)
         edges = np.linspace(0.0, 1.0, self.count - _DEGREE + 1)
@@ -336,7 +337,7 @@ class Layout:
     known: KnownShape | None = None  # stated shape of k
 
     @cached_property
-    def stiffness_parts(self) -> records.Array:
+    def stiffness_parts(self) -> Array:
         """(p, n) coefficients of the independent parts of log k, less its stated shape, in the prior: a level, a small
         free part, errors of the section, the slow variation; `Spline.parts` without a stated shape."""
         if self.known is None:
@@ -345,7 +346,7 @@ class Layout:
         return np.column_stack([np.ones(self.spline.count), np.eye(self.spline.count), *of_places])
 
     @property
-    def first_variances(self) -> records.Array:
+    def first_variances(self) -> Array:
         """(n,) of these parts: as expected, or as stated."""
         if self.known is None:
             return self.spline.variances(TAU, RHO)
@@ -354,16 +355,16 @@ class Layout:
         return out
 
     @cached_property
-    def section_errors(self) -> records.Array:
+    def section_errors(self) -> Array:
         """(p, p) prior covariance of what the errors of the stated section are among the coefficients."""
         parts = np.zeros((self.spline.count, 0)) if self.known is None else self.spline.nearest(self.known.errors)
         return np.asarray(parts @ parts.T)
 
-    def stiffness_root(self, variances: records.Array) -> records.Array:
+    def stiffness_root(self, variances: Array) -> Array:
         """(p, p) lower triangular factor of the coefficients' prior covariance, from the parts' variances (n,)."""
         return np.asarray(np.linalg.qr(np.sqrt(variances)[:, None] * self.stiffness_parts.T, mode="r")).T
 
-    def get(self, x: records.Array, name: str, recording: int = -1) -> records.Array:
+    def get(self, x: Array, name: str, recording: int = -1) -> Array:
         """Values of a block of a recording, or of all; zeros (of the right length) where it is frozen."""
         block = self.index.get((name, recording)) or self.index[name, -1]
         return x[block.where] if block.start >= 0 else np.zeros(len(block.labels))
@@ -421,7 +422,7 @@ class StatedError:
     unit: str
     labels: tuple[str, ...]  # "{tag}" stands for each tag
     # The field of `Stated` that states it, or the sds of recordings: of all where they share it, else of one.
-    stated: str | Callable[[Sequence[records.Observations]], float | records.Array]
+    stated: str | Callable[[Sequence[records.Observations]], float | Array]
     usual: float = 0.0  # where nobody states it; 0: frozen
     shared: bool = False
     of_push: bool = False  # nothing without a push
@@ -443,12 +444,12 @@ class StatedError:
             within = -np.inf, _BEYOND_SD * one.length + float(np.nanmin(1.0 - one.push_s)) * one.length
         of_stated = self.stated
         if self.of_push and (one.static or not np.any(one.force != 0.0)):
-            sd: float | records.Array = 0.0
+            sd: float | Array = 0.0
         else:
             sd = getattr(one.stated, of_stated) if isinstance(of_stated, str) else of_stated(recordings)
         return replace(self.with_sd(sd, tags), within=within)
 
-    def with_sd(self, sd: float | records.Array, tags: Sequence[str]) -> Allowance:
+    def with_sd(self, sd: float | Array, tags: Sequence[str]) -> Allowance:
         """With this prior."""
         places = tags if self.of_tags else ("",)
         labels = tuple(label.format(tag=tag) for tag in places for label in self.labels)
@@ -494,7 +495,7 @@ def _clock_sd(one: records.Observations) -> float:
     return _CLOCK_DOUBT * float(one.source.clock.sd) if np.isfinite(one.source.clock.sd) else 1.0
 
 
-def _mass_sds(recordings: Sequence[records.Observations]) -> float | records.Array:
+def _mass_sds(recordings: Sequence[records.Observations]) -> float | Array:
     """Of a mass that is guessed or written down, over itself, and of its parts, which are free where it is exact."""
     if not any(needs_mass(r) for r in recordings):
         return 0.0
@@ -607,7 +608,7 @@ def _zeros(one: records.Observations) -> tuple[str, ...]:
     return tuple(f"zero of point {one.tag_id[i]} {'xy'[c]}" for i, c in zeroed_coordinates(one))
 
 
-def log_axes(direction: records.Array) -> records.Array:
+def log_axes(direction: Array) -> Array:
     """(2, 2) rotation of the logged force, by its direction (1,) [rad]."""
     cos, sin = np.cos(direction[0]), np.sin(direction[0])
     return np.array([[cos, -sin], [sin, cos]])

@@ -23,7 +23,8 @@ from onebend.live.learner import OnlineLearner
 from onebend.live.review import ENDED, NO_TAGS, Reviewed, Reviewer, ReviewerBeside, Seen
 from onebend.pipeline import Run, learn_observed
 from onebend.progress import Progress, Silent, one_blas_thread
-from onebend.recording import entries, folder, observe, tool
+from onebend.recording import entries, folder, tool
+from onebend.recording.observe import ObserveSettings
 from onebend.recording.tags import TrackedFrame
 from onebend.recording.video import Picture
 from onebend.records import Array, ClockOffset, Remark
@@ -266,7 +267,7 @@ class LiveSettings:
     review_growth: float = 1.25  # each review when the stream is so many times as long as at the last one,
     least_apart: float = 1.0  # and s longer
     wait: float = 2.0  # s: a frame waits no longer for the force at its time, and is then left to the next review
-    observing: observe.ObserveSettings = field(default_factory=observe.ObserveSettings)
+    observing: ObserveSettings = field(default_factory=ObserveSettings)
     learning: hyperparameters.OnlineSettings = field(default_factory=hyperparameters.OnlineSettings)
 
 
