@@ -165,7 +165,7 @@ class SetUp:
             return self._part(x, name, size)
 
         still = push(np.zeros((count, 2)), push_s)
-        plain = make_problem(beam, still + weight(gravity) if any(gravity) else still, RESOLUTION)
+        plain = make_problem(beam, still + weight(gravity), RESOLUTION)
         nodes, weights = plain.grid.nodes, plain.weights
         log_k = coefficients @ known.basis(nodes).T + part("log k", 3) @ Modes(3).curvature(nodes).T
         k = np.exp(log_k + (0.0 if known.offset is None else known.offset(nodes)))
@@ -223,8 +223,7 @@ class SetUp:
         wanted = np.where(there.stands[:, None, None], there.xy(places), np.nan)
         s = np.linspace(0.0, 1.0, 8 * len(known.mean))
         onto = np.linalg.lstsq(known.basis(s), Modes(_FITTED).curvature(s), rcond=None)[0]
-        loads = push(force, self.push_s)
-        loads = loads + weight(gravity) if any(gravity) else loads
+        loads = push(force, self.push_s) + weight(gravity)
 
         def of(c: Array) -> Beam:
             logs = tuple((known.mean + onto @ c[2:]).tolist())

@@ -177,10 +177,7 @@ def standing(
     beam: Beam, force: records.Array, at_s: float, s: records.Array, gravity: tuple[float, float] = (0.0, 0.0)
 ) -> records.Array:
     """(T, S, 3) m, m, rad at `s` (S,): equilibria under forces (T, 2) N. Raises `MechanicsError`: snap-through."""
-    loads = push(force, at_s)
-    if any(gravity):
-        loads = loads + weight(np.tile(gravity, (len(force), 1)))
-    solved = equilibrium(beam, loads, resolution=RESOLUTION)
+    solved = equilibrium(beam, push(force, at_s) + weight(gravity), resolution=RESOLUTION)
     if not np.all(solved.converged):
         largest = float(np.max(np.linalg.norm(force, axis=1)))
         raise MechanicsError(f"the virtual beam snaps through under {largest:.3g} N or less. Give a smaller force")

@@ -51,8 +51,7 @@ class TagDerivatives:
 
 def loads_of(bench: Instruments, at_s: float, forces: Array) -> loads.Loads:
     """Forces (F, 2) N at one place, under the bench's gravity."""
-    acting = loads.push(forces, at_s)
-    return acting + loads.weight(np.asarray(bench.gravity)) if any(bench.gravity) else acting
+    return loads.push(forces, at_s) + loads.weight(bench.gravity)
 
 
 def solve_push(beam: Beam, bench: Instruments, candidate: PlannedPush) -> statics.Equilibrium:

@@ -270,7 +270,7 @@ def fit_data(
     known = KnownShape(None, 0.0) if known is None else known
     carrier = Beam(o.length, known.profile, mass_per_length=written, masses=o.stated.masses)
     problem = make_problem(
-        carrier, _loads(np.zeros_like(force), push_s, gravity) + other, resolution or resolution_of(o)
+        carrier, push(np.zeros_like(force), push_s) + weight(gravity) + other, resolution or resolution_of(o)
     )
     ends = held_ends(o, frames, problem)
     nodes = problem.grid.nodes
@@ -327,8 +327,3 @@ def rested(loads: Loads) -> Loads:
     more = loads.take(np.append(np.arange(loads.size), loads.size - 1))
     here = (np.arange(more.size) < loads.size).astype(float)
     return replace(more, force=more.force * here[:, None, None], moment=more.moment * here[:, None])
-
-
-def _loads(force: Array, push_s: Array, gravity: Array) -> Loads:
-    loads = push(force, push_s)
-    return loads + weight(gravity) if np.any(gravity != 0.0) else loads

@@ -166,9 +166,8 @@ def push_places(observations: Observations) -> Array:
 
 def loads_of(observations: Observations, frames: BoolArray) -> Loads:
     """The measured loads in those frames, weight included."""
-    gravity = observations.gravity[frames]
     loads = push(observations.force[frames], push_places(observations)[frames]) + known_loads(observations, frames)
-    return loads + weight(gravity) if np.any(gravity != 0.0) else loads
+    return loads + weight(observations.gravity[frames])
 
 
 def known_loads(observations: Observations, frames: BoolArray) -> Loads:

@@ -136,14 +136,6 @@ class Spline:
         s = np.linspace(0.0, 1.0, 8 * self.count)
         return np.asarray(np.linalg.lstsq(self.basis(s), function(s), rcond=None)[0])
 
-    def precision(self, tau: float, rho: float) -> Array:
-        """(count, count) of the coefficients' prior: a smooth part of roughness tau plus steps of size rho."""
-        return self.precision_of(self.variances(tau, rho))
-
-    def precision_of(self, variances: Array) -> Array:
-        """(count, count) of the coefficients' prior, from the variances (n,) of its parts."""
-        return np.asarray(np.linalg.inv((self.parts * variances) @ self.parts.T))
-
     def variances(self, tau: float | Array, rho: float | Array) -> Array:
         """`tau.shape + (n,)` of the parts: level, slope, the smooth part's `count - 2`, `count - 1` steps, no bumps."""
         out = np.zeros((*np.shape(tau), 3 * self.count - 1))

@@ -133,7 +133,7 @@ class Bench:
             rows, at = np.append(frames, frames[-1]), np.append(edge, 0.5 * edge[-1])
         gravity, known = np.vstack([o.gravity, np.zeros(2)])[rows], known_loads(o, np.ones(len(o.time), dtype=bool))
         loads = push(np.zeros((len(rows), 2)), at) + (known if known.size == 1 else rested(known).take(rows))
-        problem = make_problem(self.beam, loads + weight(gravity) if np.any(gravity) else loads, RESOLUTION)
+        problem = make_problem(self.beam, loads + weight(gravity), RESOLUTION)
         problem = problem.take(np.arange(len(frames))) if apart else problem
         if apart and len(frames) == 1:
             one = Grid(problem.grid.edges[0], problem.grid.order)
@@ -267,9 +267,8 @@ def same_tags(observations: Observations, setup: SetUp | None) -> bool:
 
 def _picture(o: Observations, seen: Array) -> tuple[Allowance, ...]:
     """The unknowns of the camera, its plane, the tags' heights over it and the outline's."""
-    out = [] if o.by_camera is None else [camera(o, np.ones(len(o.time), dtype=bool), len(seen))]
-    height = outline_height(o, seen)
-    return (*out, *([] if height is None else [height]))
+    found = camera(o, np.ones(len(o.time), dtype=bool), len(seen)), outline_height(o, seen)
+    return tuple(one for one in found if one is not None)
 
 
 def ways_of(stiffness: UncertainStiffness) -> Array:
