@@ -16,10 +16,10 @@ from onebend.beam.stiffness import LogSpline, Profile, UncertainStiffness, Unifo
 from onebend.errors import LearningError
 from onebend.learning import allowances as effects
 from onebend.learning.force_error import ForceError, force_error
-from onebend.learning.frames import known_loads, mass_profile, pose_whitening, push_places, typical
+from onebend.learning.frames import known_loads, mass_profile, pose_whitening, push_places
 from onebend.learning.parameters import NEEDS_MASS, KnownShape, Spline, curvature_sd
 from onebend.learning.static_poses import HeldEnds, SeenPoses, held_ends, resolution_of, seen_poses
-from onebend.recording.signals import low_pass
+from onebend.recording.signals import low_pass, nan_median
 from onebend.recording.tracks import chord_angles
 from onebend.records import Array, BoolArray, IntArray, Observations, covariance_with_camera, tags_among
 
@@ -253,7 +253,7 @@ def fit_data(
     if np.any(np.isfinite(o.rest_xy)):  # the beam at rest is one more frame, of no force and no force error
         rest = np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=1)
         measured = np.concatenate([measured, rest[None]])
-        covariance = np.concatenate([covariance, np.maximum(typical(all_noise), 0.0)[None] * np.eye(3)])
+        covariance = np.concatenate([covariance, np.maximum(nan_median(all_noise), 0.0)[None] * np.eye(3)])
         force, rate = np.vstack([force, np.zeros(2)]), np.vstack([rate, np.zeros(2)])
         push_s, gravity = np.append(push_s, push_s[-1]), np.vstack([gravity, np.zeros(2)])
         weights = np.vstack([weights, np.zeros(weights.shape[1])])

@@ -20,6 +20,7 @@ from onebend.errors import LearningError
 from onebend.learning import allowances, fit_data, frames as framing, frequencies, parameters, prediction, static_poses
 from onebend.learning.outcome import Comparison, Notice
 from onebend.progress import one_blas_thread
+from onebend.recording.signals import nan_median
 from onebend.records import Array, BoolArray, Observations, Remark
 
 _DRAWS, _LIKELY_FRAMES = 60, 12  # which tell how far tags are likely to be off
@@ -219,7 +220,7 @@ class _Pushed:
         squares = np.mean(np.sum(away**2, axis=-1), axis=1, where=stands)  # (draws, m)
         variance = np.nanquantile(squares, _ONE_SD, axis=0)  # not their mean, which one draw may decide
         left = 2.0 * self.setup.discrepancy**2 * np.mean(np.sum(moved**2, axis=-1), axis=0)
-        seen = np.nan_to_num(framing.typical(np.trace(self.observations.covariance[few, :, :2, :2], axis1=2, axis2=3)))
+        seen = np.nan_to_num(nan_median(np.trace(self.observations.covariance[few, :, :2, :2], axis1=2, axis2=3)))
         return np.asarray(np.sqrt(variance + left + seen))
 
 

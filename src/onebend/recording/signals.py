@@ -364,9 +364,8 @@ def nan_median(values: Array, axis: int = 0) -> Array:
     return np.where(known, np.nanmedian(np.where(np.expand_dims(known, axis), values, 0.0), axis=axis), np.nan)
 
 
-def nan_mean(values: Array) -> Array:
-    """Mean over the first axis of what is there; NaN where nothing is."""
+def nan_mean(values: Array, axis: int = 0) -> Array:
+    """Mean of what is there; NaN where nothing is."""
     known = np.isfinite(values)
-    count = known.sum(axis=0)
-    total = np.where(known, values, 0.0).sum(axis=0)
+    count, total = known.sum(axis=axis), np.where(known, values, 0.0).sum(axis=axis)
     return np.asarray(np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0))
