@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
 from onebend.drive.robots import ToolPose, pose_of
@@ -197,18 +196,9 @@ def _pushed_points(made: Observations) -> tuple[Array, Array]:
         known = np.isfinite(made.xy[t]).all(axis=-1) & np.isfinite(made.angle[t])
         if known.any():
             times.append(made.time[t])
-            places.append(
-                along_tags(made.marker_s[known], made.xy[t, known], made.angle[t, known], made.length)(made.push_s[t])
-            )
+            axis = signals.along_tags(made.marker_s[known], made.xy[t, known], made.angle[t, known], made.length)
+            places.append(axis(made.push_s[t]))
     return np.array(times), np.array(places).reshape(-1, 2)
-
-
-def along_tags(s: Array, xy: Array, angle: Array, length: float) -> CubicHermiteSpline:
-    """The beam's axis from clamp and tags, s (m,), (m, 2) m, (m,) rad: a cubic with their directions."""
-    at, (places,), (angles,) = signals.from_clamp(s, xy[None], angle[None])
-    at, first = np.unique(at, return_index=True)
-    tangents = length * np.stack([np.cos(angles[first]), np.sin(angles[first])], axis=-1)
-    return CubicHermiteSpline(at, places[first], tangents)
 
 
 def _tool_tags(rec: entries.Recording, made: Observations, tag: int) -> tuple[Array, Array]:

@@ -55,6 +55,14 @@ def from_clamp(s: Array, xy: Array, angle: Array) -> tuple[Array, Array, Array]:
     return np.append(0.0, s)[order], xy[:, order], angle[:, order]
 
 
+def along_tags(s: Array, xy: Array, angle: Array, length: float) -> CubicHermiteSpline:
+    """The beam's axis from clamp and tags, s (m,), (m, 2) m, (m,) rad: a cubic with their directions."""
+    at, (places,), (angles,) = from_clamp(s, xy[None], angle[None])
+    at, first = np.unique(at, return_index=True)
+    tangents = length * np.stack([np.cos(angles[first]), np.sin(angles[first])], axis=-1)
+    return CubicHermiteSpline(at, places[first], tangents)
+
+
 def bandwidth(time: Array, values: Array, fraction: float = 0.999) -> float:
     """Frequency below which `fraction` of the power of the velocity of `values` lies, Hz; NaN where nothing moves.
 

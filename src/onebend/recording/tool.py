@@ -10,12 +10,11 @@ from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import binary_closing, map_coordinates, uniform_filter
 
 from onebend.recording.entries import Recording
 from onebend.recording.plane import camera_place, project
-from onebend.recording.signals import MAD_TO_SD, from_clamp, runs
+from onebend.recording.signals import MAD_TO_SD, along_tags, runs
 from onebend.recording.tool_edges import ToolStrip, contacts
 from onebend.recording.video import KeptFrames, Picture, pictures_at
 from onebend.records import (
@@ -108,11 +107,8 @@ def axes_of(markers: Markers, rows: Sequence[int], grid: SideGrid) -> tuple[Arra
     tangent = np.full_like(centre, np.nan)
     for at, row in enumerate(rows):
         seen = np.isfinite(markers.xy[row]).all(axis=-1) & np.isfinite(markers.angle[row])
-        s, (xy,), (angle,) = from_clamp(markers.s[seen], markers.xy[None, row, seen], markers.angle[None, row, seen])
-        s, first = np.unique(s, return_index=True)
-        slopes = grid.length * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        axis = CubicHermiteSpline(s, xy[first], slopes[first])
-        inside = np.clip(grid.s, s[0], s[-1])
+        axis = along_tags(markers.s[seen], markers.xy[row, seen], markers.angle[row, seen], grid.length)
+        inside = np.clip(grid.s, axis.x[0], axis.x[-1])
         along = axis(inside, 1)
         tangent[at] = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
         centre[at] = axis(inside) + (grid.s - inside)[:, None] * grid.length * tangent[at]
