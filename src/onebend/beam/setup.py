@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from onebend.beam.continuation import follow, refine
-from onebend.beam.grid import Modes, paired, rotated, unit
+from onebend.beam.grid import Modes
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Problem, Resolution, make_problem, share_farther
@@ -31,7 +31,7 @@ from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import LogSpline, RectangularSection, UncertainStiffness
 from onebend.errors import MechanicsError
 from onebend.record_data import record_from
-from onebend.records import Array, BoolArray
+from onebend.records import Array, BoolArray, paired, rotated, unit
 
 Renewed = Literal["contact", "tool", "sensor", "mounting"]  # contact: the same tool touches the beam elsewhere
 # The parts of a set-up, the unit of each, and with what they are new.

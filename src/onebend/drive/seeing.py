@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from onebend.beam.grid import rotated, unit
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution
 from onebend.control.loaded_beam import prepared, trace
@@ -23,7 +22,7 @@ from onebend.errors import ObservationError
 from onebend.live.history import FrameReader
 from onebend.recording import beam_frame, camera, entries
 from onebend.recording.force import to_beam
-from onebend.records import Array, Detections
+from onebend.records import Array, Detections, rotated, unit
 
 
 class BentModel:

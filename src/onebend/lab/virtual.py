@@ -15,7 +15,6 @@ import numpy as np
 
 from onebend import records
 from onebend.beam.continuation import equilibrium
-from onebend.beam.grid import paired, rotated
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.errors import MechanicsError, RecordingError
@@ -199,7 +198,7 @@ def tag_poses_on(bench: VirtualBench, beam: records.Array) -> records.Array:
     real, angle = tag_places(bench), beam[..., 2]
     beyond = bench.beam.length * (real - np.clip(real, 0.0, 1.0))  # a tag may stick out over the tip
     across = np.array([tag.across for tag in bench.tags])
-    xy = beam[..., :2] + rotated(paired(beyond, across), angle)
+    xy = beam[..., :2] + records.rotated(records.paired(beyond, across), angle)
     turn = np.array([tag.turn for tag in bench.tags])
     return np.concatenate([xy, (angle + turn)[..., None]], axis=-1)
 

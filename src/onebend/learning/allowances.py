@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from onebend.beam.grid import Grid, Modes, apply, left_of, unit
+from onebend.beam.grid import Grid, Modes, apply
 from onebend.beam.problem import Problem, riding_beyond
 from onebend.beam.sensitivity import of_mass
 from onebend.beam.setup import MOST_REACHED, posture_terms
@@ -18,7 +18,7 @@ from onebend.beam.stiffness import Profile, RectangularSection, Uniform
 from onebend.errors import LearningError
 from onebend.learning.frames import push_places
 from onebend.recording.plane import HEIGHT_SD, camera_place
-from onebend.records import Array, BoolArray, Observations, PointMass, View, tags_among
+from onebend.records import Array, BoolArray, Observations, PointMass, View, left_of, tags_among, unit
 
 # Where an allowance enters the model, and what its `basis` is there. F frames, Q nodes, m tags, n parameters:
 #   "log k"       (Q, n) or (F, Q, n): added to log k at the nodes

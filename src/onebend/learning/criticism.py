@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.special import chdtrc, fdtrc
 
-from onebend.beam.grid import apply, left_of, unit
+from onebend.beam.grid import apply
 from onebend.beam.sensitivity import Perturbation, of_clamp_angle, of_rest_curvature, of_stiffness
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import UncertainStiffness
@@ -17,7 +17,7 @@ from onebend.learning import fit_data, linear, normal, optimizer, parameters, pr
 from onebend.learning.frames import unwhitened, whitened
 from onebend.progress import each
 from onebend.recording.signals import correlation_time
-from onebend.records import Array, IntArray
+from onebend.records import Array, IntArray, left_of, unit
 
 # Alternatives to the fit's model: a few numbers b that the model takes to be zero. They move the tags by `D b`, with D
 # from the derivatives of the equilibrium at the optimum.

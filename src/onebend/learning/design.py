@@ -20,7 +20,7 @@ from onebend.learning import fit_data, outcome, parameters, prediction
 from onebend.learning.instruments import ForceDoubt, Instruments, PlannedPush
 from onebend.options import POSITIVE, option
 from onebend.progress import Progress, Silent, one_blas_thread, track
-from onebend.records import Array, BoolArray, IntArray
+from onebend.records import Array, BoolArray, IntArray, unit
 
 # Fisher information of one push. With J the derivatives of the tags' poses with the parameters and A those with the
 # force, it is `J' (D + A E A')^-1 J`: D the tags' noise, E the force error that the rests leave. Nuisances of this push
@@ -69,7 +69,7 @@ def solve_push(beam: Beam, bench: Instruments, candidate: PlannedPush) -> static
 def _forces(candidate: PlannedPush) -> Array:
     """(F, 2) N in the steps of a push, and none at rest."""
     steps = np.append((np.arange(STEPS) + 0.5) / STEPS, 0.0)
-    return candidate.largest * steps[:, None] * grid.unit(candidate.direction)
+    return candidate.largest * steps[:, None] * unit(candidate.direction)
 
 
 def tag_derivatives(
@@ -143,7 +143,7 @@ def force_covariance(bench: Instruments, candidate: PlannedPush) -> Array:
     force along the push."""
     one = _doubt_of_axis(bench.force, bench.seconds, bench.rest_before, bench.rest_after)
     one = one + np.eye(STEPS) * bench.force.frame**2 * STEPS / bench.frames
-    rate = np.tile(candidate.largest / bench.seconds * grid.unit(candidate.direction), STEPS)
+    rate = np.tile(candidate.largest / bench.seconds * unit(candidate.direction), STEPS)
     return np.asarray(np.kron(one, np.eye(2)) + bench.clock_sd**2 * np.outer(rate, rate))
 
 
@@ -292,7 +292,7 @@ def _reach_at(beam: Beam, bench: Instruments, at_s: float, directions: Array, li
 def _first_break(
     beam: Beam, bench: Instruments, at_s: float, direction: float, sizes: Array, limits: Limits
 ) -> tuple[float, float, str]:
-    forces = np.append(sizes, 0.0)[:, None] * grid.unit(direction)
+    forces = np.append(sizes, 0.0)[:, None] * unit(direction)
     solved = continuation.follow(make_problem(beam, loads_of(bench, at_s, forces), RESOLUTION))
     broken = _broken(solved, bench, at_s, direction, limits)
     first = {why: int(np.argmax(rows[:-1])) for why, rows in broken.items() if np.any(rows[:-1])}
@@ -327,9 +327,7 @@ def _most_force(bench: Instruments, limits: Limits) -> float:
 
 
 def _stands(beam: Beam, bench: Instruments, at_s: float, direction: float, force: float) -> bool:
-    solved = continuation.follow(
-        make_problem(beam, loads_of(bench, at_s, force * grid.unit(direction)[None]), RESOLUTION)
-    )
+    solved = continuation.follow(make_problem(beam, loads_of(bench, at_s, force * unit(direction)[None]), RESOLUTION))
     return bool(solved.stable[0] and np.isnan(solved.buckled_at[0]))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from onebend.beam.grid import Grid, Modes, angles, left_of, places, positions, rotated, unit
+from onebend.beam.grid import Grid, Modes, angles, places, positions
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Problem, Resolution, make_problem, share_farther
@@ -21,7 +21,7 @@ from onebend.learning.parameters import NEEDS_MASS, KnownShape, Spline, curvatur
 from onebend.learning.static_poses import HeldEnds, SeenPoses, held_ends, resolution_of, seen_poses
 from onebend.recording.signals import low_pass, nan_median
 from onebend.recording.tracks import chord_angles
-from onebend.records import Array, BoolArray, IntArray, Observations, covariance_with_camera, tags_among
+from onebend.records import Array, BoolArray, IntArray, Observations, covariance_with_camera, rotated, tags_among
 
 # The beam at rest: natural curvature and mounting errors of the tags, separated by their priors. A mounting error turns
 # with the beam, so it is subtracted in the tag's own frame.
@@ -259,7 +259,8 @@ def fit_data(
         weights = np.vstack([weights, np.zeros(weights.shape[1])])
         other = rested(other)
     tags, across = tags_among(o), np.zeros((*measured.shape[:2], 2))
-    across[:, ~tags] = left_of(unit(np.nan_to_num(measured[:, ~tags, 2])))
+    direction = np.nan_to_num(measured[:, ~tags, 2])
+    across[:, ~tags] = np.stack([-np.sin(direction), np.cos(direction)], axis=-1)
     measured[:, ~tags, 2] = np.nan
     whiten = pose_whitening(o, measured, covariance, across)
     weighs = bool(np.any(gravity != 0.0))

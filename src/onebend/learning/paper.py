@@ -20,7 +20,7 @@ from onebend.learning.parameters import NEEDS_MASS, weighs
 from onebend.learning.validation import marker_misfit, validate
 from onebend.options import option
 from onebend.progress import Progress, Silent, one_blas_thread, track
-from onebend.records import Array, BoolArray, IntArray, Observations, covariance_with_camera
+from onebend.records import Array, BoolArray, IntArray, Observations, covariance_with_camera, left_of, unit
 
 # Inverse kinematics (22) on all frames at once. Where a frame has fewer data than states, the shape of least curvature
 # is taken.
@@ -133,8 +133,8 @@ def assemble(observations: Observations, states: States) -> MomentRows:
     q = (states.theta - states.theta0) @ phi.T
     elastic = (on.weights * q)[:, None, :] * phi.T
     alpha = states.theta @ a.T
-    u = grid.unit(alpha)  # (T, Q, 2)
-    across = grid.left_of(u)
+    u = unit(alpha)  # (T, Q, 2)
+    across = left_of(u)
     to_push = on.integral_to(framing.push_places(observations)[:, None])[:, 0]  # (T, Q)
     load_per_force = length * np.einsum("tq,tqc,qi->tic", to_push, across, a, optimize=True)
     beyond = _weight_beyond(observations)  # (T, Q, 2)

@@ -18,7 +18,7 @@ from onebend.learning.frames import evenly_spread, push_places, ruler_places, st
 from onebend.learning.normal import in_own_pages
 from onebend.learning.parameters import Layout, log_axes
 from onebend.learning.static_poses import free_ends, moved, put_ends, solve, with_ends_held
-from onebend.records import Array, BoolArray, IntArray, Observations
+from onebend.records import Array, BoolArray, IntArray, Observations, left_of, paired, rotated, unit
 
 # Derivatives of the tags' poses: `response_columns` gives each group of parameters that bends the beam, in the order of
 # the columns; `TagRide` maps the motion of the beam to the tags; `put_blocks` and `put_tags` write the columns of a
@@ -145,7 +145,7 @@ def along_and_across(force: Array, angle: Array) -> tuple[Array, Array]:
 
 def push_forces(push: Array, log_axes: Array, rate: Array) -> dict[str, Array]:
     """(F, 2, 1) N per unit: the push with the "direction" of the log's axes [rad] and its "clock" [s]."""
-    return {"direction": grid.left_of(push)[..., None], "clock": (rate @ log_axes.T)[..., None]}
+    return {"direction": left_of(push)[..., None], "clock": (rate @ log_axes.T)[..., None]}
 
 
 def pushed_by(beyond: Array, load: Array) -> sensitivity.Perturbation:
@@ -186,7 +186,7 @@ class TagRide:
     @cached_property
     def offset(self) -> Array:
         """(F, m, 2) m from the beam's place to the tag."""
-        return grid.rotated(grid.paired(self.over, self.across), self.angle)
+        return rotated(paired(self.over, self.across), self.angle)
 
     def pose(self, xy: Array, origin: Array, turn: Array) -> Array:
         """(F, m, 3) of the tags in the picture, over places `xy` (F, m, 2) m of the beam; `turn` (m,) rad on it."""
@@ -195,7 +195,7 @@ class TagRide:
     def carry(self, response: Array) -> Array:
         """(F, m, 3, P) of the tags in the picture, from that of the beam's places under them."""
         offset, turn = self.offset, response[:, :, 2:]
-        lever = grid.left_of(offset)
+        lever = left_of(offset)
         xy = response[:, :, :2] + lever[..., None] * turn
         if self.ruler:
             xy = np.stack([np.zeros_like(xy[:, :, 0]), xy[:, :, 1] - self.slope[..., None] * xy[:, :, 0]], axis=2)
@@ -211,16 +211,16 @@ class TagRide:
         tip. `onward` (F, m, 2): m per m along the beam; None: the tangent, without stretch."""
         if self.ruler:
             return self._ruler_motion(xy)
-        tangent = grid.unit(self.angle)
+        tangent = unit(self.angle)
         turning = (self.across * bend)[..., None] * tangent
         along = self.scale * ((tangent if onward is None else onward) - turning)
-        return TagMotion(along, bend, self.scale * grid.left_of(tangent), xy)
+        return TagMotion(along, bend, self.scale * left_of(tangent), xy)
 
     def _ruler_motion(self, xy: Array) -> TagMotion:
         """Of rulers, which read y at a fixed x."""
         nothing, one = np.zeros_like(self.slope), np.ones_like(self.slope)
-        origin = np.stack([grid.paired(nothing, nothing), grid.paired(-self.slope, one)], axis=2)
-        return TagMotion(grid.paired(nothing, self.slope), nothing, grid.paired(nothing, one), xy, origin)
+        origin = np.stack([paired(nothing, nothing), paired(-self.slope, one)], axis=2)
+        return TagMotion(paired(nothing, self.slope), nothing, paired(nothing, one), xy, origin)
 
 
 def put_blocks(out: Array, columns: Mapping[str, slice], blocks: Mapping[str, Array]) -> None:
@@ -613,7 +613,7 @@ def predict(
     xy = solved.xy(s)
     pose = ride.pose(xy, value("origin"), data.of_tags(value("turn")))
     if data.rulers is not None:
-        pose[..., :2] = grid.paired(data.rulers, pose[..., 1] + value("across"))
+        pose[..., :2] = paired(data.rulers, pose[..., 1] + value("across"))
     for (i, c), zero in zip(zeroed_coordinates(data.observations), value("zero"), strict=True):
         pose[:, i, c] -= zero
     return Prediction(data, layout, x, solved, s, ride, xy, pose + allowed("poses"), force, own)
@@ -689,7 +689,7 @@ def _tag_motion(now: Prediction) -> TagMotion:
     bend = np.where(on_beam, grid.apply(solved.problem.grid.value_at(s), solved.q) / written, 0.0)
     if not now.data.allowances:
         return ride.motion(xy, bend)
-    onward = np.where(on_beam[:, None], solved.xy_by_s(s) / written, grid.unit(ride.angle))
+    onward = np.where(on_beam[:, None], solved.xy_by_s(s) / written, unit(ride.angle))
     return ride.motion(xy, bend, onward)
 
 
@@ -746,7 +746,7 @@ def variances(
         at, force, stated = push_places(observations)[frames], observations.force[frames], observations.stated
         angle = solved.angle(at[:, None])[:, 0]
         _, across = along_and_across(force, angle)
-        turned = grid.left_of(force)
+        turned = left_of(force)
         by_moment = sensitivity.respond(solved, sensitivity.of_moment(problem, at)).xy(s)[..., 0]
         by_force = sensitivity.respond(solved, sensitivity.of_force(problem, at)).xy(s)
         turn = grid.apply(problem.grid.integral_to(at[:, None]), solved.q - problem.q0)[:, 0]  # of the beam, since rest

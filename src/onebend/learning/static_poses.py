@@ -9,14 +9,13 @@ import numpy as np
 
 from onebend.beam.clamped_ends import end_pose, hold_near, with_end_wrench
 from onebend.beam.continuation import ContinuationSettings, follow, let_fall, refine, stable_equilibria
-from onebend.beam.grid import left_of, unit
 from onebend.beam.problem import Problem, Resolution
 from onebend.beam.sensitivity import of_force, of_moment, respond
 from onebend.beam.statics import Equilibrium, correct, is_convex, is_stable
 from onebend.beam.stiffness import UncertainStiffness, half_width
 from onebend.learning.outcome import Notice
 from onebend.learning.parameters import KnownShape, Layout, forced, known_shape, needs_mass
-from onebend.records import UNKNOWN_ANGLE_SD, Array, BoolArray, IntArray, Observations, tags_among
+from onebend.records import UNKNOWN_ANGLE_SD, Array, BoolArray, IntArray, Observations, left_of, tags_among, unit
 
 _SAME_BRANCH = 0.7  # rad, the largest turn of Newton's method from a shape that is still on its branch
 _ROPE = 20.0  # of `int sqrt(L N / k) ds`: above it the search may miss equilibria, and the shape seen is let fall, too

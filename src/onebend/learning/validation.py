@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from onebend.beam.continuation import follow, refine
-from onebend.beam.grid import rotated
 from onebend.beam.loads import Loads, push
 from onebend.beam.model import Beam
 from onebend.beam.problem import has_mass, make_problem
@@ -21,7 +20,7 @@ from onebend.learning import allowances, fit_data, frames as framing, frequencie
 from onebend.learning.outcome import Comparison, Notice
 from onebend.progress import one_blas_thread
 from onebend.recording.signals import nan_median
-from onebend.records import Array, BoolArray, Observations, Remark
+from onebend.records import Array, BoolArray, Observations, Remark, rotated
 
 _DRAWS, _LIKELY_FRAMES = 60, 12  # which tell how far tags are likely to be off
 _ONE_SD = 0.683  # of a normal density

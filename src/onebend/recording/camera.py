@@ -9,12 +9,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from onebend.beam.grid import rotated
 from onebend.errors import ObservationError, RecordingError
 from onebend.recording import plane as planes
 from onebend.recording.entries import CameraEntry, Recording, TagEntry, TagsEntry
 from onebend.recording.signals import running_median
-from onebend.records import POINT_ID, Array, BoolArray, Detections, Markers, OutlineTrack, Remark, View
+from onebend.records import POINT_ID, Array, BoolArray, Detections, Markers, OutlineTrack, Remark, View, rotated
 
 END_CORRELATION = -0.5  # of the errors at the two ends of a straight edge
 STEP = 1e-6  # m and rad, of the pose's numerical derivative

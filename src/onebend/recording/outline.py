@@ -16,13 +16,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from onebend.beam.grid import left_of, unit
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, track
 from onebend.recording import camera, entries, flanks, plane, video
 from onebend.recording.signals import MAD_TO_SD, correlation_time, nan_mean, nan_median, running_median
 from onebend.recording.tags import in_order
-from onebend.records import Array, BoolArray, IntArray, Markers, OutlineTrack, Remark, View
+from onebend.records import Array, BoolArray, IntArray, Markers, OutlineTrack, Remark, View, left_of, unit
 
 # The film: each picture is searched near where the two before predict the body.
 

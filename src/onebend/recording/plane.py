@@ -9,10 +9,9 @@ import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial.transform import Rotation
 
-from onebend.beam.grid import rotated
 from onebend.errors import ObservationError
 from onebend.recording.entries import CameraEntry
-from onebend.records import Array, BoolArray, IntArray, View
+from onebend.records import Array, BoolArray, IntArray, View, rotated
 
 
 def project(view: View, points: Array) -> Array:

@@ -7,7 +7,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import median_filter, percentile_filter, uniform_filter1d
 
 from onebend.errors import RecordingError
-from onebend.records import Array, BoolArray, IntArray, Remark
+from onebend.records import Array, BoolArray, IntArray, Remark, unit
 
 LATEST = 1e11  # s: no clock of a recording, since 1970 or since it was started, says more
 MOST_STEPS = 5e7  # of a log: half a day at 1 kHz
@@ -59,8 +59,7 @@ def along_tags(s: Array, xy: Array, angle: Array, length: float) -> CubicHermite
     """The beam's axis from clamp and tags, s (m,), (m, 2) m, (m,) rad: a cubic with their directions."""
     at, (places,), (angles,) = from_clamp(s, xy[None], angle[None])
     at, first = np.unique(at, return_index=True)
-    tangents = length * np.stack([np.cos(angles[first]), np.sin(angles[first])], axis=-1)
-    return CubicHermiteSpline(at, places[first], tangents)
+    return CubicHermiteSpline(at, places[first], length * unit(angles[first]))
 
 
 def bandwidth(time: Array, values: Array, fraction: float = 0.999) -> float:

@@ -13,7 +13,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from onebend.beam.grid import rotated
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, available_cores, track
 from onebend.recording import tag_finder
@@ -29,7 +28,7 @@ from onebend.recording.video import (
     rate_remarks,
     read_frames,
 )
-from onebend.records import Array, BoolArray, Detections, IntArray, Remark
+from onebend.records import Array, BoolArray, Detections, IntArray, Remark, rotated
 
 LOOK_EVERY = 8  # frames: how often the whole picture is searched for a tag that was lost
 MOST_STEP = LOOK_EVERY // 2  # frames between searched ones: at two of them a tag must be seen to be predicted

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from onebend.beam.grid import rotated
 from onebend.errors import ObservationError, RecordingError
 from onebend.recording import camera, force, outline, signals, stated, tables
 from onebend.recording.entries import FrequencyEntry, GravityEntry, Recording
@@ -27,6 +26,7 @@ from onebend.records import (
     Remark,
     Source,
     of_markers,
+    rotated,
 )
 
 # Curves in tables: vertices in their order from the clamp to the tip, whose places along the body nobody measured.
