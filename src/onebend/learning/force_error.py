@@ -91,8 +91,8 @@ class ForceError:
     def rest_sd(self) -> float:
         """N, of the log in the rests about the spline: what the knots cannot follow, at least a share of the noise."""
         fitted, _, rank, _ = np.linalg.lstsq(self.rest_weights, self.rest_values)
-        left = np.sum((self.rest_values - self.rest_weights @ fitted) ** 2) / 2.0
-        return max(_REST_SHARE * self.size, float(np.sqrt(left / max(len(self.rest_values) - rank, 1))))
+        left = float(np.sum((self.rest_values - self.rest_weights @ fitted) ** 2)) / 2.0
+        return max(_REST_SHARE * self.size, float(np.sqrt(left / max(len(self.rest_values) - int(rank), 1))))
 
     @cached_property
     def rest_gram(self) -> Array:

@@ -22,7 +22,6 @@ from scipy.linalg import solve_triangular
 
 from onebend.learning.allowances import Sizes, patch_functions
 from onebend.learning.fit_data import FitData
-from onebend.learning.force_error import ForceError
 from onebend.learning.frames import whitened
 from onebend.learning.frequencies import FrequencyData, PredictedFrequencies, predicted_frequencies
 from onebend.learning.normal import (
