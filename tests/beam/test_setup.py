@@ -210,12 +210,18 @@ def test_where_only_a_gripper_holds_the_sensor_shows_no_push() -> None:
     assert setup().shown(bent.problem, bent, np.zeros((len(FORCE), 0, 2))).shape == (3, 0, 2)
 
 
-TAGGED = {"along": [6e-4, -5e-4], "across": [-4e-4, 7e-4], "turn": [0.02, 0.03]}
+TAGGED: dict[str, float | list[float]] = {"along": [6e-4, -5e-4], "across": [-4e-4, 7e-4], "turn": [0.02, 0.03]}
 
 
 def tagged(**values: float | list[float]) -> SetUp:
     """Tags 4 and 7 beside their stated places, in a set-up with errors of every kind."""
-    faults = {"clamp_gives": 0.01, "direction": 0.02, "place": -2e-3, "origin": [1e-3, -5e-4], "length": 0.003}
+    faults: dict[str, float | list[float]] = {
+        "clamp_gives": 0.01,
+        "direction": 0.02,
+        "place": -2e-3,
+        "origin": [1e-3, -5e-4],
+        "length": 0.003,
+    }
     return replace(setup(**{**TAGGED, **faults, **values}), tag_ids=(4, 7))
 
 

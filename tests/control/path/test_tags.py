@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -75,7 +76,7 @@ def test_the_commands_put_a_tag_on_its_goals(tmp_path: Path) -> None:
     rows = [f"{t},{x!r},{y!r}" for t, (x, y) in enumerate(GOALS.tolist())]
     goals = written(tmp_path, "\n".join(["time_s,x_m,y_m", *rows]) + "\n")
 
-    def asked(*words: str) -> dict[str, object]:
+    def asked(*words: str) -> dict[str, Any]:
         done = CliRunner().invoke(app, [words[0], str(tmp_path), *words[1:], "--json"])
         assert done.exit_code == 0, done.stderr
         return dict(json.loads(done.stdout))
