@@ -13,6 +13,7 @@ from onebend.beam.loads import push
 from onebend.beam.model import Beam
 from onebend.beam.setup import PARTS, SetUp
 from onebend.beam.stiffness import LogSpline, UncertainStiffness
+from onebend.control.goals import tags
 from onebend.control.reach import ReachSettings, predicted_error, reach, reach_in_setup
 from onebend.errors import ControlError, MechanicsError
 from onebend.records import Array
@@ -207,3 +208,64 @@ def test_a_set_up_survives_json_and_refuses_what_is_none() -> None:
 def test_where_only_a_gripper_holds_the_sensor_shows_no_push() -> None:
     bent = equilibrium(BEAM, push(FORCE, 1.0))
     assert setup().shown(bent.problem, bent, np.zeros((len(FORCE), 0, 2))).shape == (3, 0, 2)
+
+
+TAGGED: dict[str, float | list[float]] = {"along": [6e-4, -5e-4], "across": [-4e-4, 7e-4], "turn": [0.02, 0.03]}
+
+
+def tagged(**values: float | list[float]) -> SetUp:
+    """Tags 4 and 7 beside their stated places, in a set-up with errors of every kind."""
+    faults: dict[str, float | list[float]] = {
+        "clamp_gives": 0.01,
+        "direction": 0.02,
+        "place": -2e-3,
+        "origin": [1e-3, -5e-4],
+        "length": 0.003,
+    }
+    return replace(setup(**{**TAGGED, **faults, **values}), tag_ids=(4, 7))
+
+
+def test_the_centre_of_a_tag_is_put_on_a_goal_and_its_error_is_said() -> None:
+    one, force = tagged(), np.array([[0.05, 0.4]])
+    there = one.bent(BEAM, KNOWN, force)
+    goals = {4: there.tags()[0, 0, :2], 7: there.tags()[0, 1, :2], None: there.xy(np.ones(1))[0, 0]}
+    for number, goal in goals.items():
+        found = reach_in_setup(BEAM, KNOWN, one, goal, tag=number)
+        np.testing.assert_allclose(found.force, force[0], atol=1e-4)
+        np.testing.assert_allclose(found.reached[:2], goal, atol=1e-6)
+        np.testing.assert_allclose(found.predicted.point, goal, atol=1e-6)
+    assert np.linalg.norm(goals[7] - goals[None]) > 5e-4
+    covariance = one.covariance.copy()
+    covariance[one.columns["across"].start + 1, one.columns["across"].start + 1] = 1e-3**2
+    loose = replace(one, covariance=covariance)
+    for number, goal in goals.items():  # that of the tag counts, and for no other point
+        before, after = (reach_in_setup(BEAM, KNOWN, x, goal, tag=number).predicted.covariance for x in (one, loose))
+        assert np.trace(after - before) == pytest.approx(1e-3**2 if number == 7 else 0.0, rel=0.2, abs=1e-12)
+    with pytest.raises(MechanicsError, match="had no tag 5; it had 4, 7"):
+        reach_in_setup(BEAM, KNOWN, one, goals[7], tag=5)
+    with pytest.raises(MechanicsError, match="names none"):
+        setup().tag_at(-1)
+
+
+def test_the_ideal_beam_puts_a_tag_where_the_set_up_puts_it() -> None:
+    one = tagged()
+    there = one.bent(BEAM, KNOWN, FORCE)
+    for number in (4, 7):
+        wanted = tags(one, number, (0.0, 0.0))
+        ideal, _ = one.ideal(BEAM, KNOWN, points=wanted.s, tags=wanted.tag)
+        on_beam = equilibrium(ideal, push(there.acting, 1.0))
+        off = wanted.places(on_beam)[:, 0] - there.tags()[:, one.tag_at(number), :2]
+        assert np.max(np.linalg.norm(off, axis=1)) < 1e-4
+        assert np.max(np.linalg.norm(off + on_beam.xy(wanted.s)[:, 0] - wanted.places(on_beam)[:, 0], axis=1)) > 4e-4
+
+
+def test_the_band_of_the_ideal_beam_holds_the_error_of_a_tag() -> None:
+    one = tagged()
+    covariance = one.covariance.copy()
+    covariance[one.columns["across"].start + 1, one.columns["across"].start + 1] = 1e-3**2
+    one = replace(one, covariance=covariance)
+    sds = []
+    for number in (-1, 7):
+        _, known = one.ideal(BEAM, KNOWN, tags=number)
+        sds.append(np.sqrt(np.trace(known.covariance)))
+    assert sds[1] > 1.1 * sds[0]

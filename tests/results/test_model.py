@@ -196,7 +196,7 @@ UNIFORM = {"kind": "uniform", "value": 0.1}
         ("[" * 100_000, "nested too deeply"),
         ("{}", "not a onebend model"),
         (change(GOOD, format="other"), "not a onebend model"),
-        (change(GOOD, version=10), "version 10, but this onebend reads versions 1, 2, 3, 4, 5, 6, 7, 8 and 9"),
+        (change(GOOD, version=11), "version 11, but this onebend reads versions 1, 2, 3, 4, 5, 6, 7, 8, 9 and 10"),
         (change(GOOD, extra=1), "key 'extra'"),
         (change(GOOD, beam=3), "key 'beam'"),
         (change(GOOD, beam={}), "lack 'length_m'"),

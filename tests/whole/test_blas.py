@@ -26,7 +26,7 @@ COMMANDS = all_commands()
 # What needs no guard: it reads or writes files, or only describes.
 UNGUARDED = {
     "load_model", "load_observations", "load_uncertain", "save_model", "save_observations",
-    "angles", "curve", "curve_of_length", "points", "read_goals", "read_targets",
+    "angles", "curve", "curve_of_length", "points", "read_goals", "read_targets", "tags",
     "simulate_trials", "trial_settings", "wrong_beams",  # each trial runs under it; the others compute next to nothing
 }  # fmt: skip
 

@@ -19,6 +19,7 @@ from functools import cached_property
 from typing import Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import log_ndtr
 
 from onebend.beam.continuation import follow, refine
@@ -31,7 +32,7 @@ from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import LogSpline, RectangularSection, UncertainStiffness
 from onebend.errors import MechanicsError
 from onebend.record_data import record_from
-from onebend.records import Array, BoolArray, paired, rotated, unit
+from onebend.records import Array, BoolArray, IntArray, rotated, unit
 
 Renewed = Literal["contact", "tool", "sensor", "mounting"]  # contact: the same tool touches the beam elsewhere
 # The parts of a set-up, the unit of each, and with what they are new.
@@ -87,6 +88,7 @@ class SetUp:
     times: tuple[float, ...] = ()  # s, of each share that relaxes
     reached: tuple[float, ...] = ()  # part of the curvature that a share of one of each time reaches in the push
     reached_at_largest: tuple[float, ...] = ()  # the same when the largest force ended
+    tag_ids: tuple[int, ...] = ()  # (m,) -1: a point of the outline; none in models of before version 10
 
     def __post_init__(self) -> None:
         n = sum(self.sizes.values())
@@ -106,6 +108,19 @@ class SetUp:
     def origin(self) -> Array:
         """(2,) m, where the clamp is in the recording's frame."""
         return self._part(self.mean, "origin", 2)
+
+    def tag_at(self, number: int) -> int:
+        """Which of `tags` has this id. Raises `MechanicsError` for a tag that the recording did not have."""
+        if number >= 0 and number in self.tag_ids:
+            return self.tag_ids.index(number)
+        known = ", ".join(str(one) for one in self.tag_ids if one >= 0)
+        had = f"; it had {known}" if known else ": the model names none. Learn it again from a recording with tags"
+        raise MechanicsError(f"the recording had no tag {number}{had}")
+
+    def offsets(self, x: Array) -> Array:
+        """(..., m, 2) m, from the axis to the tags' centres, along and across it there; of numbers (..., n)."""
+        size = len(self.tags)
+        return np.stack([self._part(x, "along", size), self._part(x, "across", size)], axis=-1)
 
     def renewed(
         self, new: Iterable[Renewed] = (), *, push_s: float | None = None, length: float | None = None
@@ -202,6 +217,7 @@ class SetUp:
         *,
         gravity: tuple[float, float] = (0.0, 0.0),
         points: Array = _TIP,
+        tags: ArrayLike = -1,
         draws: int = 60,
         seed: int = 0,
     ) -> tuple[Beam, UncertainStiffness]:
@@ -209,8 +225,9 @@ class SetUp:
 
         Length, clamp angle and log k differ, the latter by a few Legendre polynomials, so that places of both meet in
         the recording's frame under forces up to the largest: above all `points` (S,), and tenths of the length. The
-        band is as wide as these places spread over `draws` of log k and set-up while the sensor shows the same force.
-        Raises `MechanicsError`: no equilibrium under these forces.
+        band is as wide as these places spread over `draws` of log k and set-up while the sensor shows the same force;
+        where `tags` (S,) has an id, and not -1, that tag's centre in place of the axis. Raises `MechanicsError`: no
+        equilibrium under these forces, or another tag.
         """
         exact, angle = self._with_zeros("direction", "force error", "gain"), float(np.arctan2(*self.force[::-1]))
         turns, sizes = angle + np.array(_TURNS), np.hypot(*self.force) * np.array(_SHARES)
@@ -219,6 +236,7 @@ class SetUp:
         if not np.any(there.stands):
             raise MechanicsError("the beam does not stand in its set-up under the forces that it was learned from")
         places = np.concatenate([_PLACES, points])
+        seen = np.append(np.full(len(_PLACES), -1), np.broadcast_to(tags, len(points)))
         weights = np.append(np.ones(len(_PLACES)), np.full(len(points), _EMPHASIS))[:, None] / (_MISFIT * beam.length)
         wanted = np.where(there.stands[:, None, None], there.xy(places), np.nan)
         s = np.linspace(0.0, 1.0, 8 * len(known.mean))
@@ -252,7 +270,7 @@ class SetUp:
         at = np.repeat(logs, len(rows), axis=0), np.repeat(numbers, len(rows), axis=0)
         near = np.tile(there.solved.q[rows], (draws, 1))
         drawn = self.bent(beam, known, np.tile(shown[rows], (draws, 1)), at, near=near, gravity=gravity)
-        off = drawn.xy(places).reshape(draws, len(rows), *wanted.shape[1:]) - wanted[rows]
+        off = drawn.axis_at(places, seen).reshape(draws, len(rows), *wanted.shape[1:]) - wanted[rows]
         off = np.where(drawn.stands.reshape(draws, -1)[..., None, None], np.nan_to_num(off), 0.0)
         by_k, light = weights[..., None] * slopes[rows, ..., 2:], 1.0 / _LOOSELY
         spread = np.array(
@@ -333,13 +351,24 @@ class Bent:
         """(T, S, 2) m, places of the beam in the frame of the recording."""
         return np.asarray(self.solved.xy(s) + self.setup._part(self.numbers, "origin", 2)[:, None])
 
+    def point(self, s: float, tag: int | None = None) -> Array:
+        """(T, 2) m: the axis at `s`, or the centre of the tag with this id. Raises `MechanicsError`: another tag."""
+        return self.xy(np.array([s]))[:, 0] if tag is None else self.tags()[:, self.setup.tag_at(tag), :2]
+
     def tags(self) -> Array:
         """(T, m, 3) m, m, rad: the tags in that frame."""
-        s, size = np.array(self.setup.tags), len(self.setup.tags)
-        along, across, turn = (self.setup._part(self.numbers, one, size) for one in ("along", "across", "turn"))
-        angle = self.solved.angle(s)
-        away = rotated(paired(along, across), angle)
+        s = np.array(self.setup.tags)
+        angle, turn = self.solved.angle(s), self.setup._part(self.numbers, "turn", len(s))
+        away = rotated(self.setup.offsets(self.numbers), angle)
         return np.concatenate([self.xy(s) + away, (angle + turn)[..., None]], axis=-1)
+
+    def axis_at(self, s: Array, tags: IntArray) -> Array:
+        """(T, S, 2) m: as `xy`; where `tags` (S,) has an id, and not -1, as the tag shows it that is taken to be at its
+        mean offset."""
+        out, off = self.xy(s), self.setup.offsets(self.numbers) - self.setup.offsets(self.setup.mean)
+        for i in np.flatnonzero(tags >= 0):
+            out[:, i] += rotated(off[:, self.setup.tag_at(int(tags[i]))], self.solved.angle(s[i : i + 1])[:, 0])
+        return out
 
 
 def posture_terms(moved: Array) -> Array:

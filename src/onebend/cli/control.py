@@ -15,10 +15,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from onebend.beam.model import Beam
 from onebend.cli import common
 from onebend.cli.models import SetUpOptions, gravity_on, read_trusted, warn_beyond_learned
-from onebend.control.goals import Between, Goals, read_goals, read_targets
+from onebend.control.goals import WITHOUT_SETUP, Between, Goals, read_goals, read_targets
 from onebend.control.loop import Controller, Margins
 from onebend.control.loop_simulation import SETTLED, LoopTrial
 from onebend.control.path import FollowedPath, PathSettings, PathSpread, by_force, follow_goals, path_spread
@@ -54,7 +53,8 @@ def show_reach(
         table.add_row("moment there", f"[bold]{result.moment:.4g} N m[/]")
     x, y = 1e3 * result.reached[:2]
     angle = math.degrees(result.reached[2])
-    table.add_row(f"point s = {result.point_s:.3g}", f"at ({x:.3f}, {y:.3f}) mm, tangent at {angle:.1f} deg")
+    named = f"point s = {result.point_s:.3g}" if result.tag is None else f"centre of tag {result.tag}"
+    table.add_row(named, f"at ({x:.3f}, {y:.3f}) mm, tangent at {angle:.1f} deg")
     why = f"after {result.iterations} iterations" if result.converged else result.reason
     table.add_row("from the goal", f"{length_words(result.error)} in the model, {why}")
     table.add_row("sure to within", _sureness_of_goal(error, "band on k(s)" if bare else "set-up of the recording"))
@@ -71,6 +71,10 @@ def _sureness_of_goal(error: PredictedError | None, source: str) -> str:
     return f"{ellipse} its {100 * SURE:.0f} % ellipse, from the {source}"
 
 
+Tag = Annotated[
+    int | None,
+    typer.Option("--tag", min=0, metavar="ID", help="In place of --point: the centre of this tag of the recording."),
+]
 GoalAngle = Annotated[
     float | None,
     typer.Option("--goal-angle-deg", metavar="DEG", help="The tangent's angle at the point; needs --moment."),
@@ -83,6 +87,7 @@ def reach(
     goal: common.Goal,
     push_at: common.PushAt = 1.0,
     point: common.Point = 1.0,
+    tag: Tag = None,
     goal_angle: GoalAngle = None,
     settings: ReachSettings,
     where: SetUpOptions,
@@ -98,12 +103,16 @@ def reach(
         setup, known = where.of(stored), stored.uncertain
         found: Reach | ReachInSetUp
         if setup is None or known is None or settings.moment or settings.method == "paper":
+            if tag is not None:
+                raise ControlError(f"--tag goes with neither --moment nor --method paper: {WITHOUT_SETUP}")
             found = solve_reach(stored.beam, wanted, push_s=push_at, point_s=point, settings=settings)
             if not found.converged:
                 raise ControlError(found.reason)
             error = None if known is None else predicted_error(stored.beam, known, found)
         else:
-            found = reach_in_setup(stored.beam, known, setup, wanted, push_s=push_at, point_s=point, settings=settings)
+            found = reach_in_setup(
+                stored.beam, known, setup, wanted, push_s=push_at, point_s=point, tag=tag, settings=settings
+            )
             error = found.predicted
         warn_beyond_learned(stored.setup, found.force)
         summary = control_files.reach_summary(str(model), found, error)
@@ -263,9 +272,9 @@ def shape(
     with common.clean_errors():
         stored = read_trusted(model)
         pushes, holding = hands.actuators()
-        wanted, pull = read_targets(targets, stored.beam.length), gravity_on(stored.beam, gravity)
-        learned_from = stored.setup
-        stored, setup = where.bending(stored, pushes[0].at_s if pushes else 1.0, pull, wanted.s)
+        learned_from, pull = stored.setup, gravity_on(stored.beam, gravity)
+        wanted = read_targets(targets, stored.beam.length, where.of(stored))
+        stored, setup = where.bending(stored, pushes[0].at_s if pushes else 1.0, pull, wanted.s, wanted.tag)
         found = solve_shape(
             stored.beam,
             wanted,
@@ -297,6 +306,7 @@ def path(
     *,
     goals: GoalsFile,
     point: GoalPoint = 1.0,
+    tag: Tag = None,
     hands: Hands,
     settings: PathSettings,
     where: SetUpOptions,
@@ -320,14 +330,18 @@ def path(
             )
         weight = gravity_on(stored.beam, gravity)
         by_points: Between = "smooth" if between is None or between == "force" else between
-        wanted = read_goals(goals, point_s=point, between=by_points)
-        learned_from = stored.setup
-        stored, setup = where.bending(stored, pushes[0].at_s if pushes else 1.0, weight, wanted.targets.s)
+        wanted = read_goals(goals, point_s=point, tag=tag, between=by_points, setup=where.of(stored))
+        learned, push_s = stored, pushes[0].at_s if pushes else 1.0
+        stored, setup = where.bending(stored, push_s, weight, wanted.targets.s, wanted.targets.tag)
         if between == "force" or (between is None and _alone(wanted, pushes, holding)):
-            wanted = _led(stored.beam, wanted, pushes, holding, weight)
+            if holding is not None or len(pushes) != 1:
+                raise ControlError("--between force is for one push; with a grip or more pushes take smooth")
+            known = None if setup is None or learned.uncertain is None else (learned.beam, learned.uncertain, setup)
+            most = hands.max_force
+            wanted = by_force(stored.beam, wanted, push_s=push_s, max_force=most, gravity=weight, learned=known)
         way = follow_goals(stored.beam, wanted, pushes=pushes, grip=holding, gravity=weight, settings=settings)
         way = replace(way, setup=setup)
-        warn_beyond_learned(learned_from, way.forces)
+        warn_beyond_learned(learned.setup, way.forces)
         sure = None if stored.uncertain is None else path_spread(way, stored.uncertain)
         summary = control_files.path_summary(str(model), way, sure)
         if output is not None:
@@ -341,14 +355,6 @@ def path(
 
 def _alone(goals: Goals, pushes: tuple[Pusher, ...], grip: Grip | None) -> bool:
     return grip is None and len(pushes) == 1 and len(goals.targets.s) == 1 and not goals.targets.turned.any()
-
-
-def _led(beam: Beam, goals: Goals, pushes: tuple[Pusher, ...], grip: Grip | None, weight: tuple[float, float]) -> Goals:
-    if grip is not None or len(pushes) != 1:
-        raise ControlError("--between force is for one push; with a grip or more pushes take smooth")
-    [one] = pushes
-    limit = one.max_force if math.isfinite(one.max_force) else None
-    return by_force(beam, goals, push_s=one.at_s, max_force=limit, gravity=weight)
 
 
 def show_loop(

@@ -87,12 +87,17 @@ class SetUpOptions:
         return None if self.beam_alone or stored.setup is None else stored.setup.renewed(new)
 
     def bending(
-        self, stored: StoredModel, push_s: float, gravity: tuple[float, float], points: ArrayLike
+        self,
+        stored: StoredModel,
+        push_s: float,
+        gravity: tuple[float, float],
+        points: ArrayLike,
+        tags: ArrayLike = -1,
     ) -> tuple[StoredModel, SetUp | None]:
-        """The model with the ideal beam that goes where the learned one goes in this set-up, above all at `points`,
-        and the set-up; the model as it is where there is none."""
+        """The model with the ideal beam that goes where the learned one goes in this set-up, above all at `points` or
+        `tags`, and the set-up; the model as it is where there is none."""
         setup = self.of(stored)
-        return (stored, None) if setup is None else stored.bending(setup, push_s, points, gravity=gravity)
+        return (stored, None) if setup is None else stored.bending(setup, push_s, points, tags=tags, gravity=gravity)
 
 
 def warn_beyond_learned(setup: SetUp | None, forces: Array) -> None:

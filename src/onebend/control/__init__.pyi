@@ -7,6 +7,7 @@ from .goals import (
     points as points,
     read_goals as read_goals,
     read_targets as read_targets,
+    tags as tags,
 )
 from .loaded_beam import (
     LoadedState as LoadedState,

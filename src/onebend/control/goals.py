@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PchipInterpolator, make_interp_spline
 
+from onebend.beam.problem import Problem
+from onebend.beam.setup import SetUp
 from onebend.beam.statics import Equilibrium
-from onebend.errors import ControlError
-from onebend.records import Array, BoolArray
+from onebend.errors import ControlError, MechanicsError
+from onebend.records import Array, BoolArray, IntArray
 from onebend.text_files import csv_rows, listed_columns, quoted
+
+ComplexArray = NDArray[np.complex128]
 
 BEYOND = 2.0  # lengths from the clamp: a farther target is a mistake
 METRES = "Positions are in metres: is this in millimetres?"
@@ -33,9 +37,13 @@ class Targets:
     xy: Array  # (N, 2) m, in the beam's frame
     angle: Array  # (N,) rad, counting full turns
     weight: Array  # (N,) 1
+    tag: IntArray = field(default_factory=lambda: np.full(1, -1))  # (N,) id of the tag at the place; -1: the axis
+    offset: Array = field(default_factory=lambda: np.zeros((1, 2)))  # (N, 2) m, of its centre, along and across
 
     def __post_init__(self) -> None:
         count = len(self.s)
+        object.__setattr__(self, "tag", np.broadcast_to(self.tag, (count,)))
+        object.__setattr__(self, "offset", np.broadcast_to(self.offset, (count, 2)))
         if count == 0 or self.xy.shape != (count, 2) or self.angle.shape != (count,) or self.weight.shape != (count,):
             raise ControlError(f"targets need at least one place, and a value for each; got {count} places")
         if not np.all((self.s >= 0.0) & (self.s <= 1.0)):
@@ -60,12 +68,17 @@ class Targets:
         return np.asarray(np.isfinite(self.angle))
 
     def __add__(self, other: Targets) -> Targets:
-        return Targets(
-            np.concatenate([self.s, other.s]),
-            np.concatenate([self.xy, other.xy]),
-            np.concatenate([self.angle, other.angle]),
-            np.concatenate([self.weight, other.weight]),
-        )
+        return Targets(*(np.concatenate(both) for both in zip(vars(self).values(), vars(other).values(), strict=True)))
+
+    def rows(self, problem: Problem) -> ComplexArray:
+        """(N, Q) w: the places over L are `w @ exp(i alpha)`, x + i y, of the angles (Q,) at the nodes."""
+        off = self.offset @ np.array([1.0, 1.0j]) / float(problem.length)
+        return np.asarray(problem.grid.integral_to(self.s) + off[:, None] * problem.grid.value_at(self.s))
+
+    def places(self, solved: Equilibrium) -> Array:
+        """(T, N, 2) m, where the points of the beam are that have targets."""
+        there = float(solved.problem.length) * np.exp(1j * solved.alpha) @ self.rows(solved.problem).T
+        return np.stack([there.real, there.imag], axis=-1)
 
 
 def numbers(values: ArrayLike) -> str:
@@ -89,6 +102,17 @@ def points(s: ArrayLike, xy: ArrayLike, *, weight: ArrayLike = 1.0) -> Targets:
     if wanted.shape != (len(places), 2):
         raise ControlError(f"{len(places)} places need positions of shape ({len(places)}, 2), got {np.shape(xy)}")
     return Targets(places, wanted, np.full(len(places), np.nan), _spread(weight, len(places)))
+
+
+def tags(setup: SetUp, number: ArrayLike, xy: ArrayLike, *, weight: ArrayLike = 1.0) -> Targets:
+    """Positions xy (N, 2) or (2,) m of the centres of tags, by their ids (N,) or one, as the recording saw them.
+
+    Raises `MechanicsError` for a tag that the recording did not have.
+    """
+    every = np.atleast_1d(np.asarray(number))
+    which = [setup.tag_at(int(one)) for one in every]
+    wanted = points(np.array(setup.tags)[which], xy, weight=weight)
+    return replace(wanted, tag=every, offset=setup.offsets(setup.mean)[which])
 
 
 def angles(s: ArrayLike, angle: ArrayLike, *, weight: ArrayLike = 1.0) -> Targets:
@@ -151,21 +175,17 @@ def target_residuals_along(
 ) -> TargetResiduals:
     """Of T shapes with targets xy (T, N, 2) and angle (T, N), at the places and weights of `targets`."""
     problem, length = solved.problem, float(solved.problem.length)
-    to, alpha = problem.grid.integral_to(targets.s), solved.alpha
-    cos, sin = np.cos(alpha), np.sin(alpha)
     placed, turned, root = targets.placed, targets.turned, np.sqrt(targets.weight)
-    at = root[placed, None] * to[placed]  # (n, Q)
-    wanted = root[placed, None] * xy[:, placed] / length
-    off_x, off_y = cos @ at.T - wanted[..., 0], sin @ at.T - wanted[..., 1]
-    b = problem.to_nodes
-    x, y = -(sin[:, None] * at) @ b, (cos[:, None] * at) @ b
-    lever = root[turned] * arm / length
+    direction, at = np.exp(1j * solved.alpha), root[placed, None] * targets.rows(problem)[placed]  # (T, Q), (n, Q)
+    off = direction @ at.T - root[placed] * (xy[:, placed] @ np.array([1.0, 1.0j])) / length
+    moved = 1j * direction[:, None] * at
+    lever, to = root[turned] * arm / length, problem.grid.integral_to(targets.s)[turned]
     twisted = lever * (solved.angle(targets.s)[:, turned] - angle[:, turned])
-    turning = np.broadcast_to(lever[:, None] * to[turned], (len(alpha), len(lever), to.shape[1]))
+    turning = np.broadcast_to(lever[:, None] * to, (len(direction), *to.shape))
     return TargetResiduals(
-        np.concatenate([off_x, off_y, twisted], axis=1),
-        np.concatenate([x, y, turning], axis=1),
-        -((off_x @ at) * cos + (off_y @ at) * sin),
+        np.concatenate([off.real, off.imag, twisted], axis=1),
+        np.concatenate([np.concatenate([moved.real, moved.imag], axis=1) @ problem.to_nodes, turning], axis=1),
+        -np.real((off.conj() @ at) * direction),
     )
 
 
@@ -185,6 +205,7 @@ class Goals:
     xy: Array  # (K, N, 2) m; NaN where free, at all times
     angle: Array  # (K, N) rad
     between: Between = "smooth"
+    warnings: tuple[str, ...] = ()  # of who made them
 
     def __post_init__(self) -> None:
         count, places = len(self.time), len(self.targets.s)
@@ -224,41 +245,56 @@ def _curve(time: Array, values: Array, between: Between) -> Callable[[Array], Ar
     return make_interp_spline(time, values, k=min(3, len(time) - 1) if between == "smooth" else 1)  # type: ignore[no-any-return]
 
 
-TARGET_COLUMNS = ("s", "x_m", "y_m", "angle_rad", "weight")
+TARGET_COLUMNS = ("s", "tag", "x_m", "y_m", "angle_rad", "weight")
 GOAL_COLUMNS = ("time_s", *TARGET_COLUMNS)
 MOST_GOALS = 100_000
 LARGEST = 1e30  # m, rad, s
-_MAY_BE_BLANK = ("x_m", "y_m", "angle_rad")
+WITHOUT_SETUP = (
+    "where the tags are on the beam stands in the set-up of the recording, which the model lacks or which is not "
+    "used; give s in place of the tag"
+)
+_VALUES = ("x_m", "y_m", "angle_rad")
+_MAY_BE_BLANK = ("s", "tag", *_VALUES)
 
 
-def read_targets(path: Path, length: float) -> Targets:
+def read_targets(path: Path, length: float, setup: SetUp | None = None) -> Targets:
     """Targets from a CSV with columns of `TARGET_COLUMNS`, one row per place.
 
-    Blank cells and absent columns are free; the default weight is 1. Without `s` the rows are a curve from the clamp,
-    on a beam of `length` m.
+    Blank cells and absent columns are free; the default weight is 1. Without `s` and `tag` the rows are a curve from
+    the clamp, on a beam of `length` m. A `tag` is one of the recording of the `setup`.
 
-    Raises `ControlError` with file and line: missing file, unknown or missing columns, a bad cell or value.
+    Raises `ControlError` with file and line: missing file, unknown or missing columns, a bad cell or value, a tag
+    without a set-up or that the recording did not have.
     """
     table = _table(path, TARGET_COLUMNS)
-    if "s" not in table:
+    if "s" not in table and "tag" not in table:
         _need(path, table, ("x_m", "y_m"), "targets without a column s are a drawn curve")
         with _in(path):
             return curve_of_length(np.stack([table["x_m"], table["y_m"]], axis=1), length)
+    _on_beam(path, table, setup)
     with _in(path):
         return _targets(table, slice(None))
 
 
-def read_goals(path: Path, *, point_s: float = 1.0, between: Between = "smooth") -> Goals:
+def read_goals(
+    path: Path,
+    *,
+    point_s: float = 1.0,
+    tag: int | None = None,
+    between: Between = "smooth",
+    setup: SetUp | None = None,
+) -> Goals:
     """Goals from a CSV with columns of `GOAL_COLUMNS`, one row per place and time, with the same places at every time.
 
-    Without `s` the rows are positions of the point at `point_s`.
+    Without `s` and `tag` the rows are positions of the point at `point_s`, or of the centre of the `tag`.
 
     Raises `ControlError` as `read_targets`, and for missing places or times that do not rise.
     """
     table = _table(path, GOAL_COLUMNS)
     _need(path, table, ("time_s",), "a path needs times")
-    if "s" not in table:
-        table["s"] = np.full(len(table["time_s"]), point_s)
+    if "s" not in table and "tag" not in table:
+        table["s" if tag is None else "tag"] = np.full(len(table["time_s"]), point_s if tag is None else tag)
+    _on_beam(path, table, setup)
     time, first = np.unique(table["time_s"], return_index=True)
     if np.any(np.diff(table["time_s"]) < 0.0):
         line = int(table["line"][np.argmax(np.diff(table["time_s"]) < 0.0) + 1])
@@ -266,10 +302,10 @@ def read_goals(path: Path, *, point_s: float = 1.0, between: Between = "smooth")
     ends = np.append(first[1:], len(table["time_s"]))
     count = int(ends[0] - first[0])
     for a, b in zip(first, ends, strict=True):
-        if b - a != count or np.any(table["s"][a:b] != table["s"][:count]):
+        if b - a != count or any(np.any(table[name][a:b] != table[name][:count]) for name in ("s", "tag")):
             raise ControlError(
                 f"{path}, line {int(table['line'][a])}: at {table['time_s'][a]:g} s there are other places than at the "
-                "first time; give the same rows of s for every time"
+                "first time; give the same rows of s or tag for every time"
             )
     with _in(path):
         every = [_targets(table, slice(a, a + count)) for a in first]
@@ -279,9 +315,26 @@ def read_goals(path: Path, *, point_s: float = 1.0, between: Between = "smooth")
 
 def _targets(table: dict[str, Array], rows: slice) -> Targets:
     s = table["s"][rows]
-    x, y, angle = (table[name][rows] if name in table else np.full(len(s), np.nan) for name in _MAY_BE_BLANK)
+    x, y, angle = (table[name][rows] if name in table else np.full(len(s), np.nan) for name in _VALUES)
     weight = table["weight"][rows] if "weight" in table else np.ones(len(s))
-    return Targets(s, np.stack([x, y], axis=1), angle, weight)
+    return Targets(s, np.stack([x, y], axis=1), angle, weight, table["tag"][rows].astype(int), table["offset"][rows])
+
+
+def _on_beam(path: Path, table: dict[str, Array], setup: SetUp | None) -> None:
+    """Each row's `s`, `tag` (-1: none) and `offset` (2,), from its `s` or its `tag`."""
+    blank = np.full(len(table["line"]), np.nan)
+    s, tag = (table.get(name, blank).copy() for name in ("s", "tag"))
+    if np.any(wrong := np.isfinite(s) == np.isfinite(tag)):
+        raise ControlError(f"{path}, line {int(table['line'][np.argmax(wrong)])}: a row has an s, or a tag, not both")
+    tagged = np.isfinite(tag)
+    table |= {"s": s, "tag": np.where(tagged, tag, -1), "offset": np.zeros((len(s), 2))}
+    if not tagged.any():
+        return
+    if setup is None:
+        raise ControlError(f"{path}: {WITHOUT_SETUP}")
+    with _in(path):
+        there = tags(setup, table["tag"][tagged], np.zeros((int(np.sum(tagged)), 2)))
+    s[tagged], table["offset"][tagged] = there.s, there.offset
 
 
 @contextmanager
@@ -289,7 +342,7 @@ def _in(path: Path) -> Iterator[None]:
     """Adds the file to errors."""
     try:
         yield
-    except ControlError as error:
+    except (ControlError, MechanicsError) as error:
         raise ControlError(f"{path}: {error}") from error
 
 
@@ -327,6 +380,8 @@ def _number(where: str, name: str, cell: str) -> float:
         value = float(cell)
     except ValueError as error:
         raise ControlError(f"{where}: {name} is {quoted(cell.strip())}, not a number") from error
+    if name == "tag" and not (value >= 0.0 and value.is_integer()):
+        raise ControlError(f"{where}: tag is {value:g}; it is the id of a tag in recording.toml")
     if not abs(value) <= LARGEST:
         raise ControlError(f"{where}: {name} is '{cell.strip()}'; leave a cell blank where it is of no concern")
     if name == "s" and not 0.0 <= value <= 1.0:

@@ -14,6 +14,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import eigvalsh
 from scipy.linalg.lapack import dgesv, dposv, dpotrf
 
 from onebend.beam.continuation import follow
@@ -25,6 +26,8 @@ from onebend.control.goals import numbers
 from onebend.errors import ControlError
 from onebend.options import POSITIVE, option
 from onebend.records import Array
+
+_RANK_TOLERANCE = 1e-9  # of the largest singular value
 
 
 @dataclass(frozen=True)
@@ -165,8 +168,7 @@ class PushedBeam:
 
     def of_shape(self, cos: Array, sin: Array) -> Array:
         """(3, n) J: the pose by the curvature."""
-        x, y = -(self.row * sin) @ self.b, (self.row * cos) @ self.b
-        return np.stack([x, y, self._angle_row[: self.count]])
+        return self.point_motion(cos, sin, self.b, np.eye(self.count), 3)
 
     def bend(self, q: Array) -> float:
         """1/m: largest curvature beyond that at rest."""
@@ -186,6 +188,16 @@ class PushedBeam:
     def stable(self, state: LoadedState) -> bool:
         _, tangent, _, _ = self.balance(state.q, state.load)
         return bool(dpotrf(tangent, lower=1)[1] == 0)
+
+
+def least_eigenvalue(tangent: Array, held: Array | None) -> float:
+    """Of a scaled tangent (n, n), on changes that leave places alone that they move by `held` (m, n): 1 without loads,
+    0 at buckling."""
+    if held is not None:
+        _, sizes, rows = np.linalg.svd(held)  # nothing moves a straight beam's end along it
+        free = rows[int(np.sum(sizes > _RANK_TOLERANCE * sizes[0])) :]
+        tangent = free @ tangent @ free.T
+    return float(eigvalsh(tangent, subset_by_index=[0, 0])[0])
 
 
 def prepared(
@@ -264,9 +276,6 @@ def _change(s: Array, wanted: Array, load: Array, scale: Array) -> Array:
         x, y = wanted.tolist()
         det = a * d - b * c
         return np.array([(d * x - b * y) / det, (a * y - c * x) / det]) if det != 0.0 else np.full(2, np.nan)
-    if s.shape == (3, 3):
-        _, _, out, info = dgesv(s, wanted)
-        return np.asarray(out) if info == 0 else np.full(3, np.nan)
     if not np.all(np.isfinite(s)):
         return np.full(3, np.nan)
     now = load / scale

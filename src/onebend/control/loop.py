@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from math import hypot, inf, isfinite, sqrt
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
 from onebend.beam.continuation import equilibrium, follow
@@ -16,6 +16,7 @@ from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, Rod, has_mass
 from onebend.beam.sensitivity import of_force, respond
 from onebend.beam.vibration import vibration
+from onebend.control.goals import ComplexArray
 from onebend.control.loaded_beam import prepared
 from onebend.control.reach import ReachSettings, reach
 from onebend.errors import ControlError, MechanicsError
@@ -118,8 +119,6 @@ def behind_actuator(plant: Plant, lag: float) -> StateSpace:
 #
 # The largest eigenvalue of this recursion with the plant decides stability (`SampledLoop.radius`); the eigenvalues of
 # the 2 x 2 loop transfer on the unit circle give the phase margin.
-
-ComplexArray = NDArray[np.complex128]
 
 _FREQUENCIES = 600
 _SCAN_RATIO = 1.04
@@ -374,13 +373,9 @@ class Reference:
 
     def position(self, time: float) -> Array:
         """(2,) m."""
-        low, part = self._place(time)
-        return np.asarray((1.0 - part) * self.xy[low] + part * self.xy[low + 1])
-
-    def _place(self, time: float) -> tuple[int, float]:
         along = self.share(time) * (len(self.xy) - 1)
         low = min(int(along), len(self.xy) - 2)
-        return low, along - low
+        return np.asarray(self.xy[low] + (along - low) * (self.xy[low + 1] - self.xy[low]))
 
 
 @dataclass(frozen=True)

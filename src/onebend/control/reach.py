@@ -42,7 +42,7 @@ from onebend.control.loaded_beam import (
 from onebend.control.reach_set import NearestPoint, ReachableSet, reachable
 from onebend.errors import ControlError
 from onebend.progress import one_blas_thread
-from onebend.records import Array
+from onebend.records import Array, BoolArray
 
 # Precomputed equilibria under forces in all directions and sizes. A goal near one is a step away: predicted by
 # derivatives, corrected by Newton's method, accepted if the correction is small and every tangent positive.
@@ -275,6 +275,8 @@ class Reach:
     iterations: int
     nearest: NearestPoint | None  # to an unreachable goal
     known: bool = False  # one step from a precomputed equilibrium
+
+    tag = None  # as of `ReachInSetUp`
 
     def __repr__(self) -> str:
         goal, force = (", ".join(f"{value:.4g}" for value in values) for values in (self.goal, self.force))
@@ -595,6 +597,7 @@ class ReachInSetUp:
     path: Array  # (P, 3) N, N, N m: that force, as the sensor of the set-up shows it
     iterations: int
     predicted: PredictedError  # of the point
+    tag: int | None = None  # whose centre is the point; None: the axis at `point_s`
 
     stable, moment, nearest = True, 0.0, None  # as of `Reach`
 
@@ -619,7 +622,7 @@ class ReachInSetUp:
 
     @property
     def reached(self) -> Array:
-        """(3,) m, m, rad: pose of the point."""
+        """(3,) m, m, rad: the point, and the tangent there."""
         return np.append(self.path_points[-1], self.way.solved.angle(np.array([self.point_s]))[-1])
 
     @property
@@ -630,7 +633,7 @@ class ReachInSetUp:
     @property
     def path_points(self) -> Array:
         """(P, 2) m: the point."""
-        return self.shapes(np.array([self.point_s]))[:, 0]
+        return self.way.point(self.point_s, self.tag)
 
     def shapes(self, s: Array) -> Array:
         """(P, S, 2) m at `s` (S,)."""
@@ -646,6 +649,7 @@ def reach_in_setup(
     *,
     push_s: float | None = None,
     point_s: float = 1.0,
+    tag: int | None = None,
     settings: ReachSettings = ReachSettings(),
     new: Iterable[Renewed] = (),
     draws: int = 400,
@@ -654,16 +658,22 @@ def reach_in_setup(
     """As `reach`, for the set-up of the recording: its place of the push, clamp, sensor, section and length.
 
     The goal is in the frame of the recording. `new`: what is another one now, its parts drawn from their priors.
-    `push_s`: default as in the recording. The error is that of `draws` from the joint posterior. `uncertain` is the
+    `push_s`: default as in the recording. `tag`: the id of one of its tags, whose centre is then the point, in place of
+    that of the axis at `point_s`. The error is that of `draws` from the joint posterior. `uncertain` is the
     band of `beam`. If no force up to 1.5 times the largest of the recording meets the goal, but a smaller one comes
     within 2 % of the length of it, and the 95 % ellipse of that one contains the goal, that one is the answer
-    (`converged` is false). Raises `ControlError` where the goal cannot be reached, and as `reach`.
+    (`converged` is false). Raises `ControlError` where the goal cannot be reached, and as `reach`. Raises
+    `MechanicsError`: a tag that the recording did not have.
     """
-    wanted, point = checked_goal(goal, settings), np.array([point_s])
+    wanted, point_s = checked_goal(goal, settings), point_s if tag is None else setup.tags[setup.tag_at(tag)]
     now = setup.renewed(new, push_s=push_s, length=beam.length)
 
     def bent(force: Array, at: tuple[Array, Array] | None = None, near: Array | None = None) -> Bent:
         return now.bent(beam, uncertain, force, at, near=near, gravity=settings.gravity)
+
+    def at(force: Array) -> tuple[Array, BoolArray]:
+        there = bent(force)
+        return there.point(point_s, tag), there.stands
 
     def answer(force: Array, trials: int) -> ReachInSetUp:
         path = np.linspace(0.0, 1.0, _ON_THE_WAY + 1)[:, None] * force
@@ -675,20 +685,20 @@ def reach_in_setup(
         drawn = bent(felt, now.draw(uncertain, draws, seed=seed), np.repeat(way.solved.q[-1:], draws, axis=0))
         if np.sum(drawn.stands) < max(3, draws // 2):
             raise ControlError(_NO_BOUND.format(lost=int(np.sum(~drawn.stands)), draws=draws))
-        places, there = drawn.xy(point)[drawn.stands, 0], way.xy(point)[:, 0]
+        places, there = drawn.point(point_s, tag)[drawn.stands], way.point(point_s, tag)
         covariance = np.cov(places.T) + (now.discrepancy * np.linalg.norm(there[-1] - there[0])) ** 2 * np.eye(2)
         error = PredictedError(there[-1], np.mean(places, axis=0), covariance, float(np.mean(~drawn.stands)))
         loads = np.column_stack([path, np.zeros(len(path))])
-        return ReachInSetUp(beam, settings, now.push_s, point_s, wanted, way, loads, trials, error)
+        return ReachInSetUp(beam, settings, now.push_s, point_s, wanted, way, loads, trials, error, tag)
 
     largest = float(np.hypot(*setup.force))
-    starts = _nearest_first(bent, wanted, point, largest)
-    tries = (_newton_in_setup(bent, wanted, point, start, largest, _MET * beam.length) for start in starts)
+    starts = _nearest_first(at, wanted, largest)
+    tries = (_newton_in_setup(at, wanted, start, largest, _MET * beam.length) for start in starts)
     exact = next((one for one in tries if one is not None), None)
     if exact is None or now.beyond(exact[0]):
         with contextlib.suppress(ControlError):  # of that force alone
             spread = answer(np.zeros(2), 0).predicted.covariance
-            smaller = answer(*_likely_in_setup(bent, wanted, point, largest, spread))
+            smaller = answer(*_likely_in_setup(at, wanted, largest, spread))
             near = smaller.error < _NEARLY * beam.length
             known = smaller.predicted.ellipse().semi_axes[0] < _KNOWN * beam.length
             if near and known and smaller.predicted.holds(wanted):
@@ -706,49 +716,47 @@ def reach_in_setup(
     return answer(*exact)
 
 
-def _nearest_first(bent: Callable[[Array], Bent], goal: Array, point: Array, largest: float) -> Array:
+_Led = Callable[[Array], tuple[Array, BoolArray]]  # (T, 2) m the point under forces (T, 2) N, (T,) whether it stands
+
+
+def _nearest_first(at: _Led, goal: Array, largest: float) -> Array:
     """(n, 2) N: forces under which the point comes nearest to the goal, of many sizes and directions."""
     turn = np.arange(_AROUND) * (2.0 * np.pi / _AROUND)
     around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     starts = np.concatenate([np.zeros((1, 2)), *(largest * share * around for share in _SHARES)])
-    there = bent(starts)
-    away = np.linalg.norm(there.xy(point)[:, 0] - goal, axis=1)
-    return np.asarray(starts[np.argsort(np.where(there.stands, away, np.inf))[:_MOST_STARTS_IN_SETUP]])
+    places, stands = at(starts)
+    away = np.linalg.norm(places - goal, axis=1)
+    return np.asarray(starts[np.argsort(np.where(stands, away, np.inf))[:_MOST_STARTS_IN_SETUP]])
 
 
-def _likely_in_setup(
-    bent: Callable[[Array], Bent], goal: Array, point: Array, largest: float, spread: Array
-) -> tuple[Array, int]:
+def _likely_in_setup(at: _Led, goal: Array, largest: float, spread: Array) -> tuple[Array, int]:
     """(2,) N of the greatest probability, and the number of trials, on the way from rest, where the point errs by
     `spread` (2, 2) [m^2] and each axis of the force has a normal density of the sd `largest`."""
     root = np.linalg.inv(np.linalg.cholesky(spread))
 
     def away(force: Array) -> Array:
-        there = bent(force[None])
-        off = root @ (there.xy(point)[0, 0] - goal) if there.stands[0] else np.full(2, _NOWHERE)
+        [place], [stands] = at(force[None])
+        off = root @ (place - goal) if stands else np.full(2, _NOWHERE)
         return np.append(off, force / largest)
 
     found = least_squares(away, np.zeros(2), x_scale=largest, diff_step=_STEP, max_nfev=_MOST_TRIALS)
     return found.x, int(found.nfev)
 
 
-def _newton_in_setup(
-    bent: Callable[[Array], Bent], goal: Array, point: Array, base: Array, largest: float, met: float
-) -> tuple[Array, int] | None:
+def _newton_in_setup(at: _Led, goal: Array, base: Array, largest: float, met: float) -> tuple[Array, int] | None:
     """(2,) N that the sensor shows where the point is within `met` [m] of the goal, and the number of trials: from the
     force `base` (2,) [N], by steps that shorten until they come nearer."""
     change, best, step = np.zeros(2), np.inf, _STEP * largest
     for trial in range(_MOST_TRIALS):
         force = base + change
-        there = bent(force + step * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
-        at = there.xy(point)[:, 0]
-        off = float(np.linalg.norm(goal - at[0]))
-        if not (np.all(there.stands) and off < best):
+        places, stands = at(force + step * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+        off = float(np.linalg.norm(goal - places[0]))
+        if not (np.all(stands) and off < best):
             change = _SHORTER * change
             continue
         if off < met:
             return force, trial
         base, best = force, off
-        change = np.linalg.lstsq((at[1:] - at[0]).T / step, goal - at[0], rcond=1e-9)[0]
+        change = np.linalg.lstsq((places[1:] - places[0]).T / step, goal - places[0], rcond=1e-9)[0]
         change = change * min(1.0, _LONGEST * largest / float(np.hypot(*change)))
     return None

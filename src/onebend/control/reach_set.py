@@ -14,7 +14,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import eigvalsh
 from scipy.optimize import brentq
 
 from onebend.beam.continuation import follow
@@ -29,6 +28,7 @@ from onebend.control.loaded_beam import (
     ReachSettings,
     checked_goal,
     lead,
+    least_eigenvalue,
     prepared,
     solve_goal,
     trace,
@@ -590,12 +590,7 @@ def stability_margin(pushed: PushedBeam, state: LoadedState, *, held: bool = Fal
     _, tangent, cos, sin = pushed.balance(state.q, state.load)
     scale = 1.0 / np.sqrt(pushed.stiff)
     matrix = scale[:, None] * np.tril(tangent) * scale
-    matrix = matrix + np.tril(matrix, -1).T
-    if held:
-        _, sizes, rows = np.linalg.svd(pushed.of_shape(cos, sin) * scale)
-        free = rows[int(np.sum(sizes > 1e-9 * sizes[0])) :]
-        matrix = free @ matrix @ free.T
-    return float(eigvalsh(matrix, subset_by_index=[0, 0])[0])
+    return least_eigenvalue(matrix + np.tril(matrix, -1).T, pushed.of_shape(cos, sin) * scale if held else None)
 
 
 def _size(load: Array) -> float:

@@ -17,6 +17,7 @@ from onebend.beam.setup import SetUp
 from onebend.beam.statics import Equilibrium, balance, found_near, nodal_forces, scaled, tangent
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.control.goals import TargetResiduals, Targets, check_metres, target_residuals
+from onebend.control.loaded_beam import least_eigenvalue
 from onebend.errors import ControlError
 from onebend.options import NOT_NEGATIVE, option
 from onebend.progress import one_blas_thread
@@ -32,7 +33,6 @@ from onebend.records import Array
 
 _LAST_UPDATE = 1e-11  # rad
 _MOST_ITERATIONS = 12
-_RANK_TOLERANCE = 1e-9  # of the largest singular value
 
 
 @dataclass(frozen=True)
@@ -163,12 +163,7 @@ class BeamState:
 
         1 without loads, 0 at buckling. With the shape fixed, `1 / (1 - margin)` times the loads would buckle it.
         """
-        matrix = self.tangent
-        if self.actuators.grip is not None:
-            _, sizes, rows = np.linalg.svd(self.actions[-3:])  # nothing moves a straight beam's end along it
-            free = rows[int(np.sum(sizes > _RANK_TOLERANCE * sizes[0])) :]
-            matrix = free @ matrix @ free.T
-        return float(np.linalg.eigvalsh(matrix)[0])
+        return least_eigenvalue(self.tangent, None if self.actuators.grip is None else self.actions[-3:])
 
     @property
     def end(self) -> Array:
@@ -427,8 +422,8 @@ class ShapeSpread:
         return float(np.sqrt(np.mean(np.sum(self.xy**2, axis=1))))
 
 
-def spread(state: BeamState, s: Array, uncertain: UncertainStiffness) -> ShapeSpread:
-    """At places s (N,). With a grip a common factor of k changes the wrench and not the shape (without weight)."""
+def spread(state: BeamState, targets: Targets, uncertain: UncertainStiffness) -> ShapeSpread:
+    """At N targets. With a grip a common factor of k changes the wrench and not the shape (without weight)."""
     problem, solved = state.actuators.problem, state.solved
     basis = uncertain.basis(problem.grid.nodes)
     strain = problem.weights * problem.k * (state.q - problem.q0)
@@ -440,10 +435,8 @@ def spread(state: BeamState, s: Array, uncertain: UncertainStiffness) -> ShapeSp
     system = np.zeros((count + held, count + held))
     system[:count, :count], system[:count, count:], system[count:, :count] = state.tangent, -rows.T * unit, rows
     answer = np.linalg.solve(system, np.concatenate([right, np.zeros((held, right.shape[1]))]))
-    dq, alpha, to = state.unbend[:, None] * answer[:count], solved.alpha[0], problem.grid.integral_to(s)
-    turned = problem.to_nodes @ dq
-    x = float(problem.length) * to @ (-np.sin(alpha)[:, None] * turned)
-    y = float(problem.length) * to @ (np.cos(alpha)[:, None] * turned)
+    dq = state.unbend[:, None] * answer[:count]
+    moved = float(problem.length) * (1j * np.exp(1j * solved.alpha[0]) * targets.rows(problem)) @ problem.to_nodes @ dq
     covariance = np.zeros((right.shape[1], right.shape[1]))
     covariance[:-1, :-1], covariance[-1, -1] = uncertain.covariance, uncertain.gain_sd**2
 
@@ -451,7 +444,8 @@ def spread(state: BeamState, s: Array, uncertain: UncertainStiffness) -> ShapeSp
         return np.asarray(np.sqrt(np.maximum(np.einsum("np,pr,nr->n", rows, covariance, rows), 0.0)))
 
     wrench = sd(unit[:, None] * answer[count:]) if held else None
-    return ShapeSpread(np.stack([sd(x), sd(y)], axis=-1), sd(to @ dq), wrench)
+    turned = problem.grid.integral_to(targets.s) @ dq
+    return ShapeSpread(np.stack([sd(moved.real), sd(moved.imag)], axis=-1), sd(turned), wrench)
 
 
 _FINEST_PANEL = 1.0 / 16.0
@@ -612,10 +606,10 @@ def _result(
     return ShapeResult(
         targets=targets,
         state=state,
-        xy_error=state.solved.xy(targets.s)[0] - targets.xy,
+        xy_error=targets.places(state.solved)[0] - targets.xy,
         angle_error=state.solved.angle(targets.s)[0] - targets.angle,
         rms=float(state.actuators.problem.length) * float(np.sqrt(result.cost / np.sum(targets.weight))),
-        spread=None if uncertain is None else spread(state, targets.s, uncertain),
+        spread=None if uncertain is None else spread(state, targets, uncertain),
         limits=(*limits, *(("stability",) if result.near_buckling else ())),
         open_freedoms=open_freedoms,
         converged=result.converged,

@@ -18,7 +18,7 @@ from onebend.learning.parameters import STATED_ERRORS, Layout
 from onebend.progress import one_blas_thread
 from onebend.record_data import record_from
 from onebend.recording.signals import nan_median
-from onebend.records import DIRECTION_SD, GAIN_SD, PLACE_SD, Array, Observations, covariance_with_camera
+from onebend.records import DIRECTION_SD, GAIN_SD, PLACE_SD, POINT_ID, Array, Observations, covariance_with_camera
 
 if TYPE_CHECKING:  # for the type alone: who reads a model loads no fit
     from onebend.learning.posterior import Posterior
@@ -323,6 +323,7 @@ def setup_of(posterior: Posterior) -> SetUp | None:
         times=tuple(TIMES.tolist()) if "relaxation" in sizes else (),
         reached=posterior.optimum.predictions[number].reached(),
         reached_at_largest=posterior.optimum.predictions[number].reached(held),
+        tag_ids=tuple(int(i) if i < POINT_ID else -1 for i in o.tag_id),
     )
 
 

@@ -23,7 +23,6 @@ from scipy.linalg import solve_triangular
 from onebend.learning import normal
 from onebend.learning.allowances import Sizes, patch_functions
 from onebend.learning.fit_data import FitData
-from onebend.learning.force_error import ForceError
 from onebend.learning.frames import whitened
 from onebend.learning.frequencies import FrequencyData, PredictedFrequencies, predicted_frequencies
 from onebend.learning.parameters import Block, Layout
@@ -388,7 +387,6 @@ def _upper(factor: Array, right: Array) -> Array:
 
 
 _ROBUST = 6.0  # degrees of freedom of Student's t: weights of tags that fit badly
-_REST_SHARE = 0.1  # of the coloured force noise: what the knots cannot follow in the rests
 
 
 @dataclass(frozen=True)
@@ -542,7 +540,7 @@ def rest_information(problem: FitProblem, number: int) -> normal.InformationForm
     layout, error = problem.layout, problem.recordings[number].error
     count = len(layout.known_to(number))
     information, b = np.zeros((count, count)), np.zeros(count)
-    sd, values = _rest_sd(error), error.rest_values
+    sd, values = error.rest_sd, error.rest_values
     where = layout.columns("force", number)
     if where is None or len(values) == 0:
         return normal.InformationForm(information, b)
@@ -556,7 +554,7 @@ def rest_residuals(data: FitData, layout: Layout, x: Array) -> Array:
     """(R, 2) of the force log in the rests at parameters x (P,), over its sd there."""
     error = data.error
     expected = error.rest_weights @ layout.get(x, "force", data.number).reshape(-1, 2)
-    return np.asarray((error.rest_values - expected) / _rest_sd(error))
+    return np.asarray((error.rest_values - expected) / error.rest_sd)
 
 
 def rest_score(data: FitData, layout: Layout, x: Array) -> Array:
@@ -564,13 +562,8 @@ def rest_score(data: FitData, layout: Layout, x: Array) -> Array:
     out, where = np.zeros(len(layout.known_to(data.number))), layout.columns("force", data.number)
     if where is not None:
         residuals = rest_residuals(data, layout, x)
-        out[where] = (data.error.rest_weights.T @ residuals).ravel() / _rest_sd(data.error)
+        out[where] = (data.error.rest_weights.T @ residuals).ravel() / data.error.rest_sd
     return out
-
-
-def _rest_sd(error: ForceError) -> float:
-    """N, of the log in the rests about its slow error."""
-    return _REST_SHARE * error.size
 
 
 def tool_rows(data: FitData, layout: Layout) -> tuple[Array, Array]:

@@ -171,7 +171,7 @@ def _acting(way: path.FollowedPath) -> str:
 
 def _spread(axes: Axes, result: shape.ShapeResult) -> None:
     assert result.spread is not None
-    at, sd = MM * result.xy(result.targets.s), 2.0 * MM * result.spread.xy
+    at, sd = MM * result.targets.places(result.state.solved)[0], 2.0 * MM * result.spread.xy
     label = "2 sd by the band on k(s)"
     axes.errorbar(at[:, 0], at[:, 1], xerr=sd[:, 0], yerr=sd[:, 1], fmt="none", ecolor=GREEN, lw=1.2, label=label)
 

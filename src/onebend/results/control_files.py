@@ -27,6 +27,7 @@ def reach_summary(model: str, result: Reach | ReachInSetUp, error: PredictedErro
         "method": result.settings.method,
         "push_s": result.push_s,
         "point_s": result.point_s,
+        "tag": result.tag,
         "goal_m": result.goal[:2].tolist(),
         "goal_angle_rad": float(result.goal[2]) if len(result.goal) == 3 else None,
         "converged": result.converged,
@@ -107,7 +108,7 @@ def shape_summary(model: str, result: ShapeResult) -> dict[str, Any]:
 def write_shape(folder: Path, result: ShapeResult) -> None:
     targets, spread, blank = result.targets, result.spread, np.full(len(result.targets.s), np.nan)
     sd = (blank, blank, blank) if spread is None else (*spread.xy.T, spread.angle)
-    here = (*result.xy(targets.s).T, result.angle(targets.s))
+    here = (*targets.places(result.state.solved)[0].T, result.angle(targets.s))
     columns = (targets.s, *targets.xy.T, targets.angle, *here, *sd)
     write_columns(folder / "targets.csv", dict(zip(TARGET_ROWS, columns, strict=True)))
     s = np.linspace(0.0, 1.0, 201)

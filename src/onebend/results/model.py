@@ -69,11 +69,11 @@ def origin_of(learned: Learned | None, posterior: Posterior | None, trainings: S
 
 
 FORMAT = "onebend-model"
-VERSION = 9
+VERSION = 10
 # versions: 1 had no `uncertain`, 2 no `damping`, 3 no checksum, 4 no `section`, 5 no `offset`, 6 no `shared_mean` and
 # `discrepancy` in `bench`, 7 no `setup`, 8 one whose force error went with the tags'
-# displacement: it is not read, and predictions are those of k(s) alone
-READABLE = (1, 2, 3, 4, 5, 6, 7, 8, 9)
+# displacement: it is not read, and predictions are those of k(s) alone, 9 no `tag_ids` in `setup`
+READABLE = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10)
 _OF_PLACES = 9  # the first version whose set-up's force error goes with the place of the push
 _OLD_SETUP = (
     "has a set-up of an older version, which is not read: answers are those of k(s) alone. Learn the beam again to "
@@ -112,14 +112,20 @@ class StoredModel:
     left_out: str = ""  # what is not read of a file of an older version
 
     def bending(
-        self, setup: SetUp, push_s: float, points: ArrayLike, *, gravity: tuple[float, float] = (0.0, 0.0)
+        self,
+        setup: SetUp,
+        push_s: float,
+        points: ArrayLike,
+        *,
+        tags: ArrayLike = -1,
+        gravity: tuple[float, float] = (0.0, 0.0),
     ) -> tuple[StoredModel, SetUp]:
-        """With the ideal beam that goes where this one goes in the `setup` (`SetUp.ideal`), above all at `points`, if
-        it is pushed at `push_s`; and the set-up with that push. Raises `ResultsError` without a band."""
+        """With the ideal beam that goes where this one goes in the `setup` (`SetUp.ideal`), above all at `points` or
+        `tags`, if it is pushed at `push_s`; and the set-up with that push. Raises `ResultsError` without a band."""
         if self.uncertain is None:
             raise ResultsError("a model without a band on k(s) has no set-up to be bent in")
         now = setup.renewed(push_s=push_s, length=self.beam.length)
-        beam, known = now.ideal(self.beam, self.uncertain, gravity=gravity, points=np.atleast_1d(points))
+        beam, known = now.ideal(self.beam, self.uncertain, gravity=gravity, points=np.atleast_1d(points), tags=tags)
         return replace(self, beam=beam, uncertain=known), now
 
 
