@@ -23,6 +23,7 @@ from onebend.records import Array, CleanForce, ForceNoise, IntArray, Observation
 
 _MARGIN = 0.2  # s, kept away from contact when a rest is read, besides the low-pass's memory:
 _MEMORY = 1.0  # periods of its cut-off
+_REACH = 2.0  # s, of the rest on either side of the push that counts at least: ten times the usual correlation time
 _MOST_KNOTS = 100  # two unknowns each: a bound on the size of a fit
 _SPACING = 0.25  # of the period of the cut-off: half of Nyquist's
 _GRAIN = 0.03  # of the coloured part's variance: free from knot to knot, so that it can be inverted
@@ -188,8 +189,9 @@ def force_error(observations: Observations, time: Array) -> ForceError:
     noise, cutoff, spacing = expected_noise(observations, largest), np.inf, 0.3
     if clean is not None and np.isfinite(clean.cutoff) and clean.cutoff > 0.0:
         cutoff, spacing = clean.cutoff, _SPACING / clean.cutoff
-    spacing = max(spacing, float(np.ptp(observations.time)) / (_MOST_KNOTS - 3))
-    rest_time, rest_force = _in_rests(observations, 0.5 * spacing, _MARGIN + _MEMORY / cutoff)
+    span = _told(observations, (_MOST_KNOTS - 3) * spacing)
+    spacing = max(spacing, (span[1] - span[0]) / (_MOST_KNOTS - 3))
+    rest_time, rest_force = _in_rests(observations, span, 0.5 * spacing, _MARGIN + _MEMORY / cutoff)
     everything = np.concatenate([time, rest_time])
     begin, end = float(np.min(everything)), float(np.max(everything))
     count = max(int(np.ceil((end - begin) / spacing)) + 3, 4)
@@ -212,18 +214,27 @@ def force_error(observations: Observations, time: Array) -> ForceError:
     )
 
 
-def _in_rests(observations: Observations, step: float, margin: float) -> tuple[Array, Array]:
-    """(R,) s and (R, 2) N: instants at least `step` [s] apart, and `margin` [s] from any contact, and the log there.
+def _told(observations: Observations, most: float) -> tuple[float, float]:
+    """s: from where to where the error of the log counts: the push, and the rests of the film beside it.
 
-    The margin covers what the low-pass makes of the contact: read as an error of the log, it would shift k(s). What
-    acts before and after the film is unknown.
+    Knots for `most` [s] are there; the push has them first. What acts before and after the film is unknown.
     """
-    clean, time = observations.source.clean_force, observations.time
-    loaded = time[observations.loaded]
+    time = observations.time
+    loaded = time[observations.loaded] if np.any(observations.loaded) else time
+    reach = max(_REACH, 0.5 * (most - float(np.ptp(loaded))))
+    return float(max(time[0], loaded[0] - reach)), float(min(time[-1], loaded[-1] + reach))
+
+
+def _in_rests(observations: Observations, span: tuple[float, float], step: float, margin: float) -> tuple[Array, Array]:
+    """(R,) s and (R, 2) N: instants of a span at least `step` [s] apart, `margin` [s] from any contact, and the log.
+
+    The margin covers what the low-pass makes of the contact: read as an error of the log, it would shift k(s).
+    """
+    clean, loaded = observations.source.clean_force, observations.time[observations.loaded]
     if clean is None or not len(loaded):
         return np.zeros(0), np.zeros((0, 2))
     free = (clean.time < loaded[0] - margin) | (clean.time > loaded[-1] + margin)
-    free &= (clean.time >= time[0]) & (clean.time <= time[-1]) & np.all(np.isfinite(clean.force), axis=1)
+    free &= (clean.time >= span[0]) & (clean.time <= span[1]) & np.all(np.isfinite(clean.force), axis=1)
     pick = _spread(clean.time, np.flatnonzero(free).astype(np.int64), step)
     return clean.time[pick], clean.force[pick]
 

@@ -156,6 +156,16 @@ def test_the_log_before_and_after_the_film_tells_no_error() -> None:
     np.testing.assert_array_equal(long.knots, short.knots)
 
 
+def test_long_rests_take_no_knots_from_the_push() -> None:
+    long = replace(BENCH, push=replace(BENCH.push, before=60.0, after=30.0))
+    found = [
+        force_error(seen(virtual_recording(bench, seed=0)), np.linspace(252.0, 255.0, 30)) for bench in (BENCH, long)
+    ]
+    steps = [error.knots[1] - error.knots[0] for error in found]
+    assert steps[1] == pytest.approx(steps[0], rel=0.1)
+    assert len(found[1].rest_values) >= len(found[0].rest_values)
+
+
 def test_what_the_knots_cannot_follow_is_noise_of_the_rests() -> None:
     o, sd = seen(virtual_recording(BENCH, seed=0)), 0.05 * PEAK
     clean = o.source.clean_force
