@@ -12,19 +12,14 @@ from onebend.beam.model import Beam
 from onebend.beam.setup import SetUp
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError, ResultsError
-from onebend.learning.attribution import NO_MATERIAL
+from onebend.learning import attribution, frequencies, instruments, start, static_poses, validation
 from onebend.learning.design import Plan, PlanSettings, plan
 from onebend.learning.frames import with_seen_tags
-from onebend.learning.frequencies import frequency_notices
-from onebend.learning.instruments import setup_of
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.outcome import Comparison, Learned, Notice, modulus_notices
 from onebend.learning.paper import MOST_FRAMES, RegressionSettings, pairs as trials, regress
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.run import Run as Run
-from onebend.learning.start import start_of, with_mass
-from onebend.learning.static_poses import stated_notices
-from onebend.learning.validation import validate
 from onebend.learning.verdict import fit_notices, mass_notices
 from onebend.progress import Progress, Silent, one_blas_thread
 from onebend.recording.entries import Recording
@@ -75,7 +70,7 @@ def learn(
             beam,
             others,
             stiffness=None if found is None else found.stiffness,
-            setup=None if found is None else setup_of(found),
+            setup=None if found is None else instruments.setup_of(found),
             observing=observing,
             detect=detect,
             frames=frames,
@@ -105,14 +100,14 @@ def _learned(
     progress: Progress,
 ) -> Run:
     """Regression, fit and validation, in order; `validated` compares the beam with other recordings."""
-    seen = with_mass(with_seen_tags(every))
+    seen = start.with_mass(with_seen_tags(every))
     learned, remarks = _regression(seen[0], settings, needed=fitting is None, progress=progress)
     posterior = None
     if fitting is not None:
         posterior, said = _fit(seen, learned, fitting, progress)
         remarks += said
     beam, trainings = _result(seen, learned, posterior)
-    sized = posterior is not None and not any(one.about == NO_MATERIAL for one in posterior.contradictions)
+    sized = posterior is not None and not any(one.about == attribution.NO_MATERIAL for one in posterior.contradictions)
     remarks += modulus_notices(beam, posterior.stiffness if posterior is not None and sized else None, seen)
     pairs, said = _not_learned_from(validated(beam, posterior), seen)
     remarks += said
@@ -184,16 +179,16 @@ def _fit(
     Raises `LearningError` where several recordings have no beam in common.
     """
     gain_sd = max(one.stated.gain_sd for one in seen)
-    posterior = fit(seen, start_of(seen, learned), settings=fitting, gain_sd=gain_sd, progress=progress)
+    posterior = fit(seen, start.start_of(seen, learned), settings=fitting, gain_sd=gain_sd, progress=progress)
     if len(seen) > 1 and posterior.misses:
         reasons = "; ".join(f"{one.name}: {one.words}" for one in posterior.misses)
         raise LearningError(
             f"the recordings do not agree on one beam. {reasons}. Learn from each alone, and keep together those whose "
             "k(s) agree"
         )
-    notices: tuple[Notice | Remark, ...] = fit_notices(posterior) + frequency_notices(posterior.frequencies)
+    notices: tuple[Notice | Remark, ...] = fit_notices(posterior) + frequencies.frequency_notices(posterior.frequencies)
     notices += mass_notices(posterior.mass)
-    notices += stated_notices(seen, posterior.stiffness)
+    notices += static_poses.stated_notices(seen, posterior.stiffness)
     if len({one.stated.gain_sd for one in seen if one.source.clean_force is not None}) > 1:
         notices += (Notice("several gains", {"sd": gain_sd}),)
     return posterior, notices
@@ -204,7 +199,7 @@ def _result(
 ) -> tuple[Beam, tuple[Comparison, ...]]:
     if posterior is not None:
         beam = posterior.beam
-        return beam, tuple(validate(beam, one) for one in seen)
+        return beam, tuple(validation.validate(beam, one) for one in seen)
     assert learned is not None  # where only the regression is asked for, it raises
     return learned.beam, (learned.training,)
 
@@ -232,7 +227,7 @@ def compare(
     pairs = []
     for recording in recordings:
         seen = observe(recording, settings=observing, detect=detect, frames=frames, progress=progress)
-        pairs.append((validate(beam, seen, stiffness=stiffness, setup=setup), seen))
+        pairs.append((validation.validate(beam, seen, stiffness=stiffness, setup=setup), seen))
     return [(_warned(found, seen, learned_from), seen) for found, seen in pairs]
 
 

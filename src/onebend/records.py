@@ -21,6 +21,31 @@ Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
+
+def paired(x: Array, y: Array) -> Array:
+    """(..., 2), faster than `numpy.stack`; x and y are broadcast."""
+    shape = x.shape if x.shape == y.shape else np.broadcast_shapes(x.shape, y.shape)
+    out = np.empty((*shape, 2))
+    out[..., 0], out[..., 1] = x, y
+    return out
+
+
+def unit(angle: Array | float) -> Array:
+    """(..., 2) unit vectors at an `angle` (...) [rad] from x."""
+    return paired(np.cos(angle), np.sin(angle))
+
+
+def left_of(vectors: Array) -> Array:
+    """(..., 2) `vectors` (..., 2) turned a quarter to their left."""
+    return paired(-vectors[..., 1], vectors[..., 0])
+
+
+def rotated(xy: Array, angle: Array) -> Array:
+    """Vectors `xy` (..., 2) turned counter-clockwise by `angle` (...) [rad]."""
+    cos, sin, x, y = np.cos(angle), np.sin(angle), xy[..., 0], xy[..., 1]
+    return paired(cos * x - sin * y, sin * x + cos * y)
+
+
 Rest = Literal["straight", "unknown"]
 # What of the beam its mass follows.
 MassAlong = Literal["unknown", "even", "width", "thickness", "both", "section", "table"]

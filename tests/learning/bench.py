@@ -10,6 +10,7 @@ from onebend.beam.model import Beam
 from onebend.beam.problem import make_problem
 from onebend.beam.stiffness import Gaussians, equidistant
 from onebend.learning.optimizer import FitSettings
+from onebend.learning.parameters import Spline
 from onebend.records import Array, Observations, Source, Stated
 from tests.beam.modal import modal_equilibrium
 
@@ -79,3 +80,8 @@ def in_family(beam: Beam, force: Array, n: int) -> Observations:
     theta = modal_equilibrium(make_problem(beam, push(force)), Modes(n))
     at = places(beam.length, Modes(n), MARKERS)
     return observed(beam, force, xy=positions(at, theta), angle=angles(at, theta))
+
+
+def prior_precision(spline: Spline, tau: float, rho: float) -> Array:
+    """(count, count) of the coefficients' prior: a smooth part of roughness tau plus steps of size rho."""
+    return np.asarray(np.linalg.inv((spline.parts * spline.variances(tau, rho)) @ spline.parts.T))

@@ -17,7 +17,7 @@ from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.learner import OnlineLearner, Update
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations
-from tests.learning.bench import MARKERS, SOFT, forces, observed
+from tests.learning.bench import MARKERS, SOFT, forces, observed, prior_precision
 from tests.learning.test_posterior import wrong_force
 
 S = np.linspace(0.05, 0.9, 60)
@@ -49,7 +49,7 @@ def tags_of(
 def smooth_beam(rng: np.random.Generator) -> Array:
     """(8,) coefficients of log k, of a known roughness; level and slope, of broad prior, are tamed."""
     spline = Spline(8)
-    rough = np.linalg.cholesky(np.linalg.inv(spline.precision(3.0, 0.1))) @ rng.normal(size=8)
+    rough = np.linalg.cholesky(np.linalg.inv(prior_precision(spline, 3.0, 0.1))) @ rng.normal(size=8)
     places = np.array([np.mean(spline.knots[i + 1 : i + 4]) for i in range(8)])  # coefficients there: log k = s
     line = np.polynomial.Polynomial.fit(places, rough, 1)(places)
     return np.asarray(np.log(0.025) + rough - line + 0.3 * rng.normal())

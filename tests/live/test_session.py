@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from onebend.errors import RecordingError
-from onebend.live import recording_folder as capture_folder, session as capture_session
+from onebend.live import recording_folder as capture_folder
 from onebend.live.guidance import STAGES, CaptureOutcome, CaptureState
 from onebend.live.played import PlayedCamera, PlayedForce
 from onebend.live.recording_folder import FilmWriter
@@ -205,7 +205,7 @@ def test_a_full_disk_leaves_what_there_is(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_it_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(capture_session, "room_left", lambda _: 150e6)
+    monkeypatch.setattr(capture_folder, "room_left", lambda _: 150e6)
     outcome, _ = recorded(tmp_path / "push")
     assert outcome.fault
     assert outcome.why == "the disk is nearly full (150 MB are left)"

@@ -20,7 +20,7 @@ from onebend.learning.instruments import instruments_of
 from onebend.live.sources import PlayedClock
 from onebend.recording.folder import read_recording
 from onebend.results.model import StoredModel, model_text
-from onebend.studio import driving
+from onebend.studio import jobs, recorder
 from onebend.studio.driving import wanted_work, work
 from onebend.studio.jobs import Job
 from onebend.studio.places import StudioFolder
@@ -51,7 +51,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def told(monkeypatch: pytest.MonkeyPatch) -> Told:
     """What the process tells, by either way."""
     found: Told = []
-    monkeypatch.setattr(driving, "tell", found.append)
+    monkeypatch.setattr(jobs, "tell", found.append)
     monkeypatch.setattr("onebend.studio.recorder.tell", lambda data, _: found.append(dict(data)))
     monkeypatch.setattr("onebend.studio.recorder.OFTEN", 0.0)
     return found
@@ -59,7 +59,7 @@ def told(monkeypatch: pytest.MonkeyPatch) -> Told:
 
 def test_nothing_moves_before_go(bench: Path, told: Told, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(commands, "run", lambda *_a, **_k: pytest.fail("it moved"))
-    monkeypatch.setattr(driving, "lines_in", lambda _: iter(("stop\n",)))  # and the studio is gone
+    monkeypatch.setattr(recorder, "lines_in", lambda _: iter(("stop\n",)))  # and the studio is gone
     with pytest.raises(KeyboardInterrupt):
         work(wanted_work(StudioFolder.of(bench), asked_for()))
     (plan,) = [one["found"] for one in told if "found" in one]
@@ -78,7 +78,7 @@ def test_a_drive_is_planned_shown_and_recorded(bench: Path, told: Told, monkeypa
         yield "go\n"
         threading.Event().wait()  # it is there, and says nothing
 
-    monkeypatch.setattr(driving, "lines_in", lines)
+    monkeypatch.setattr(recorder, "lines_in", lines)
     wanted = wanted_work(StudioFolder.of(bench), asked_for(camera="/dev/video0"))
     work(wanted)
     job = Job(wanted)

@@ -263,6 +263,8 @@ def test_a_fit_that_takes_the_push_away_from_its_written_place_is_in_doubt() -> 
 @pytest.mark.parametrize("seed", [1020, 1043])
 def test_of_three_tags_that_hardly_tell_the_place_the_band_holds_k_though_it_is_wrong(seed: int) -> None:
     found = run(seed, True)
-    assert found.trusted
-    assert found.identified > 0.2
     assert found.outside < MUCH
+    if not found.trusted:
+        assert found.doubts[0].startswith("the stated place of the push")
+        return
+    assert found.identified > 0.2

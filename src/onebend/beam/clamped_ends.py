@@ -7,20 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from onebend.beam import statics
 from onebend.beam.grid import apply, transposed
 from onebend.beam.problem import Problem
-from onebend.beam.statics import (
-    Equilibrium,
-    centreline_slope,
-    found_near,
-    gradient,
-    nodal_forces,
-    node_angles,
-    positive_definite,
-    solve_batch,
-    strain_by_force,
-    tangent,
-)
 from onebend.records import Array, BoolArray, IntArray
 
 # The wrench (F, M) is the multiplier of the end's pose: `g(q) = C^T (F, M)`, `c(q) = (x, y, alpha) = pose`, C the
@@ -35,7 +24,7 @@ _TOLERANCE = 1e-11  # of the last update, as an angle
 
 def end_pose(problem: Problem, q: Array) -> Array:
     """(T, 3) x, y, angle of s = 1."""
-    lw, slope = problem.length * problem.weights, centreline_slope(problem, nodal_forces(problem, q))
+    lw, slope = problem.length * problem.weights, statics.centreline_slope(problem, statics.nodal_forces(problem, q))
     x, y = np.sum(lw * slope[..., 0], axis=-1), np.sum(lw * slope[..., 1], axis=-1)
     angle = np.sum(problem.weights * q, axis=-1) + np.ravel(problem.alpha0)
     return np.stack([x, y, angle], axis=-1)
@@ -43,7 +32,7 @@ def end_pose(problem: Problem, q: Array) -> Array:
 
 def end_jacobian(problem: Problem, q: Array) -> Array:
     """(T, 3, Q) derivative of the end's pose by the curvature."""
-    lw, ways = problem.length * problem.weights, nodal_forces(problem, q).lever
+    lw, ways = problem.length * problem.weights, statics.nodal_forces(problem, q).lever
     turning = np.stack([lw * ways[..., 0], lw * ways[..., 1]], axis=-2)
     angle = np.broadcast_to(problem.weights, q.shape)[:, None, :]
     return np.concatenate([turning @ problem.to_nodes, angle], axis=-2)
@@ -51,7 +40,7 @@ def end_jacobian(problem: Problem, q: Array) -> Array:
 
 def second_variation(problem: Problem, q: Array, wrench: Array) -> Array:
     """(T, Q, Q) tangent with the wrench as a dead load."""
-    return tangent(with_end_wrench(problem, wrench), q)
+    return statics.tangent(with_end_wrench(problem, wrench), q)
 
 
 def with_end_wrench(problem: Problem, wrench: Array) -> Problem:
@@ -75,11 +64,11 @@ def newton(
             break
         part = problem.take(todo)
         step = _bordered_step(part, q[todo], w[todo], goal[todo])
-        turned = node_angles(part, step[:, :nodes]) - part.alpha0
+        turned = statics.node_angles(part, step[:, :nodes]) - part.alpha0
         q[todo] += step[:, :nodes]
         w[todo] += step[:, nodes:]
         settled[todo] = np.max(np.abs(turned), axis=-1) < _TOLERANCE
-        moved = node_angles(part, q[todo]) - node_angles(part, start[todo])
+        moved = statics.node_angles(part, q[todo]) - statics.node_angles(part, start[todo])
         strayed[todo] = ~(np.max(np.abs(moved), axis=-1) < trust)
     return q, w, np.asarray(settled & ~strayed)
 
@@ -87,9 +76,11 @@ def newton(
 def _bordered_step(problem: Problem, q: Array, wrench: Array, goal: Array) -> Array:
     loaded, nodes = with_end_wrench(problem, wrench), q.shape[1]
     system, c = np.zeros((len(q), nodes + 3, nodes + 3)), end_jacobian(loaded, q)
-    system[:, :nodes, :nodes], system[:, :nodes, nodes:] = tangent(loaded, q), -transposed(c)
+    system[:, :nodes, :nodes], system[:, :nodes, nodes:] = statics.tangent(loaded, q), -transposed(c)
     system[:, nodes:, :nodes], system[:, nodes:, nodes:] = c, _pose_by_wrench(loaded, q)
-    return solve_batch(system, np.concatenate([-gradient(loaded, q), goal - end_pose(loaded, q)], axis=1))
+    return statics.solve_batch(
+        system, np.concatenate([-statics.gradient(loaded, q), goal - end_pose(loaded, q)], axis=1)
+    )
 
 
 def stands(problem: Problem, q: Array, wrench: Array) -> BoolArray:
@@ -102,7 +93,7 @@ def stands(problem: Problem, q: Array, wrench: Array) -> BoolArray:
     scaled = second_variation(problem, q, wrench) * (scale[..., :, None] * scale[..., None, :])
     c = end_jacobian(problem, q) * np.broadcast_to(scale, q.shape)[:, None, :]
     free = np.linalg.qr(transposed(c), mode="complete")[0][..., 3:]
-    return positive_definite(transposed(free) @ scaled @ free)
+    return statics.positive_definite(transposed(free) @ scaled @ free)
 
 
 def _stands_strained(loaded: Problem, q: Array, scale: Array) -> BoolArray:
@@ -111,7 +102,7 @@ def _stands_strained(loaded: Problem, q: Array, scale: Array) -> BoolArray:
     root = np.sqrt(np.sum(np.broadcast_to(loaded.weights * loaded.k, q.shape), axis=-1, keepdims=True))
     unit = root * np.concatenate([1.0 / (loaded.length * np.ones((len(q), 2))), np.ones((len(q), 1))], axis=1)
     matrix = np.zeros((len(q), nodes + 3, nodes + 3))
-    matrix[:, :nodes, :nodes] = tangent(loaded, q) * scale[..., :, None] * scale[..., None, :]
+    matrix[:, :nodes, :nodes] = statics.tangent(loaded, q) * scale[..., :, None] * scale[..., None, :]
     matrix[:, nodes:, :nodes] = c * unit[..., None]
     matrix[:, :nodes, nodes:] = transposed(matrix[:, nodes:, :nodes])
     matrix[:, nodes:, nodes:] = -_pose_by_wrench(loaded, q) * unit[..., :, None] * unit[..., None, :]
@@ -124,7 +115,7 @@ def _pose_by_wrench(loaded: Problem, q: Array) -> Array:
     if loaded.compliance is None:
         return out
     lw = (loaded.length * loaded.weights)[..., None, None]
-    out[:, :2, :2] = np.sum(lw * strain_by_force(loaded, nodal_forces(loaded, q)), axis=1)
+    out[:, :2, :2] = np.sum(lw * statics.strain_by_force(loaded, statics.nodal_forces(loaded, q)), axis=1)
     return out
 
 
@@ -138,8 +129,8 @@ def restore(problem: Problem, start: Array, goal: Array) -> tuple[Array, BoolArr
         if np.max(np.abs(away)) < 1e-13 * float(np.max(problem.length)):
             break
         scaled = c / weights
-        step = np.einsum("tcq,tc->tq", scaled, solve_batch(c @ transposed(scaled), away))
-        turn = np.max(np.abs(node_angles(problem, step) - problem.alpha0), axis=-1, keepdims=True)
+        step = np.einsum("tcq,tc->tq", scaled, statics.solve_batch(c @ transposed(scaled), away))
+        turn = np.max(np.abs(statics.node_angles(problem, step) - problem.alpha0), axis=-1, keepdims=True)
         q = q + step * np.minimum(1.0, 0.5 / np.maximum(turn, 1e-300))
     return q, np.asarray(np.max(np.abs(goal - end_pose(problem, q)), axis=-1) < 1e-10 * np.max(problem.length))
 
@@ -203,7 +194,7 @@ _SAME_EQUILIBRIUM = 0.7  # rad, largest turn within one equilibrium
 _MAX_ITERATIONS = 25
 
 
-def hold_near(problem: Problem, start: Array, end: Array, *, fall: bool) -> tuple[Equilibrium, Array]:
+def hold_near(problem: Problem, start: Array, end: Array, *, fall: bool) -> tuple[statics.Equilibrium, Array]:
     """Equilibria near shapes `start` (T, Q) with the end s = 1 at `end` (T, 3) m, m, rad, and the wrench (T, 3).
 
     They are those of the problem with that wrench as a dead load (`under`), as are their derivatives. With `fall` a
@@ -216,7 +207,7 @@ def hold_near(problem: Problem, start: Array, end: Array, *, fall: bool) -> tupl
     q[lost], w[lost] = start[lost], wrench[lost]
     if fall and lost.size:
         q[lost], w[lost], near[lost] = _let_go(problem.take(lost), start[lost], end[lost])
-    return found_near(with_end_wrench(problem, w), q, near), w
+    return statics.found_near(with_end_wrench(problem, w), q, near), w
 
 
 def _let_go(problem: Problem, start: Array, end: Array) -> tuple[Array, Array, BoolArray]:
@@ -232,4 +223,4 @@ def balancing_wrench(problem: Problem, q: Array) -> Array:
     """(T, 3) end wrench that balances shapes (T, Q) best, in the norm of the bending energy."""
     scale = np.broadcast_to(problem.unbend, q.shape)
     c = end_jacobian(problem, q) * scale[:, None, :]
-    return solve_batch(c @ transposed(c), apply(c, gradient(problem, q) * scale))
+    return statics.solve_batch(c @ transposed(c), apply(c, statics.gradient(problem, q) * scale))

@@ -18,36 +18,9 @@ from typing import Literal
 
 import numpy as np
 
+from onebend.beam import problem as problems, statics
 from onebend.beam.grid import apply, transposed
 from onebend.beam.loads import Loads
-from onebend.beam.problem import (
-    AS_ROUGH,
-    NARROW,
-    RESOLVED,
-    MomentBasis,
-    Problem,
-    Resolution,
-    Rod,
-    first_resolution,
-    make_problem,
-    missed_by_angles,
-    remembered,
-)
-from onebend.beam.statics import (
-    TOLERANCE,
-    Equilibrium,
-    balance,
-    correct,
-    found_near,
-    gradient,
-    is_stable,
-    nodal_forces,
-    node_angles,
-    scaled,
-    second_variation,
-    solve_batch,
-    tangent,
-)
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, IntArray
 
@@ -57,12 +30,12 @@ _OUTSIDE = 1e-9  # rad, tolerance of the range
 _FARTHEST_FROM_LINEAR = 1.0  # rad, largest turn from the start to the equilibrium
 
 
-def on_one_side(problem: Problem) -> tuple[IntArray, Array, Array]:
+def on_one_side(problem: problems.Problem) -> tuple[IntArray, Array, Array]:
     """Frames (n,) whose loads all push to one side, phi (n, Q) rad with the sign of that side, L w N (n, Q) N m."""
     pull = np.zeros((0, problem.to_nodes.shape[-2]))
     if problem.size == 0:
         return np.zeros(0, dtype=np.int64), pull, pull
-    rest, (x, y) = node_angles(problem, problem.q0), problem.dead_pull
+    rest, (x, y) = statics.node_angles(problem, problem.q0), problem.dead_pull
     cos, sin = np.cos(rest), np.sin(rest)
     along, across, pull = x * cos + y * sin, y * cos - x * sin, np.sqrt(x**2 + y**2)
     side = np.sign(np.sum(across, axis=-1, keepdims=True))
@@ -78,7 +51,7 @@ def on_one_side(problem: Problem) -> tuple[IntArray, Array, Array]:
     return np.flatnonzero(chosen), (side * phi)[chosen], pull[chosen]
 
 
-def at_once(problem: Problem, tolerance: float, corrections: int) -> tuple[IntArray, Array, int]:
+def at_once(problem: problems.Problem, tolerance: float, corrections: int) -> tuple[IntArray, Array, int]:
     """Frames (n,) on one side that were solved, their equilibria (n, Q), and the number of iterations."""
     frames, phi, pull = on_one_side(problem)
     if frames.size == 0:
@@ -86,15 +59,15 @@ def at_once(problem: Problem, tolerance: float, corrections: int) -> tuple[IntAr
     part = problem if frames.size == problem.size else problem.take(frames)
     secant, full = pull * np.sinc(phi / (2.0 * np.pi)), np.ones(frames.size)
     lever = apply(transposed(part.to_nodes), secant * phi)
-    start = part.q0 + solve_batch(second_variation(part, secant, part.stiff), lever)
-    q, near, count = correct(
+    start = part.q0 + statics.solve_batch(statics.second_variation(part, secant, part.stiff), lever)
+    q, near, count = statics.correct(
         part, start, full, trust=_FARTHEST_FROM_LINEAR * full, remaining=tolerance * full, max_iterations=corrections
     )
-    near &= _within(part, q, phi, pull) & is_stable(part, q)
+    near &= _within(part, q, phi, pull) & statics.is_stable(part, q)
     return frames[near], q[near], count + 1
 
 
-def _within(problem: Problem, q: Array, phi: Array, pull: Array) -> BoolArray:
+def _within(problem: problems.Problem, q: Array, phi: Array, pull: Array) -> BoolArray:
     """(n,) whether gamma is in its range."""
     turned = np.sign(np.sum(phi * pull, axis=-1, keepdims=True)) * apply(problem.to_nodes, q - problem.q0)
     farthest = np.max(np.abs(phi) * (pull > 0.0), axis=-1)
@@ -104,19 +77,19 @@ def _within(problem: Problem, q: Array, phi: Array, pull: Array) -> BoolArray:
 # Derivatives of the equilibrium by the load factor.
 
 
-def by_load(problem: Problem, q: Array, factor: Array) -> Array:
+def by_load(problem: problems.Problem, q: Array, factor: Array) -> Array:
     """(T, Q) minus the gradient's derivative by the load factor. The gradient is at most quadratic in it, so a
     difference over 1 is exact."""
     if problem.compliance is None:
-        across = nodal_forces(problem, q).across
+        across = statics.nodal_forces(problem, q).across
         return problem.couple + apply(transposed(problem.to_nodes), across)
-    return gradient(problem, q, factor - 0.5) - gradient(problem, q, factor + 0.5)
+    return statics.gradient(problem, q, factor - 0.5) - statics.gradient(problem, q, factor + 0.5)
 
 
-def terms_at_rest(problem: Problem, q: Array, slope: Array) -> tuple[Array, Array]:
+def terms_at_rest(problem: problems.Problem, q: Array, slope: Array) -> tuple[Array, Array]:
     """Terms of second and third order in the load at no load."""
     plain = problem if problem.compliance is None else replace(problem, section=None, stretch=None, shear=None)
-    forces = nodal_forces(plain, q)
+    forces = statics.nodal_forces(plain, q)
     along, across, delta = forces.along, forces.across, problem.strain_lever
     back, stiff = transposed(problem.to_nodes), problem.stiff
     turn = apply(problem.to_nodes, slope)
@@ -142,29 +115,32 @@ _NEARBY = 1e-2  # rad, largest turn from the start
 _MOST = 12  # iterations
 
 
-def in_basis(problem: Problem, basis: MomentBasis) -> Problem:
+def in_basis(problem: problems.Problem, basis: problems.MomentBasis) -> problems.Problem:
     """The problem in coefficients of the basis."""
     return replace(problem, to_nodes=basis.turned, q0=basis.rest, modes=basis.modes)
 
 
-def on_grid(solved: Equilibrium, problem: Problem, basis: MomentBasis) -> Array:
+def on_grid(solved: statics.Equilibrium, problem: problems.Problem, basis: problems.MomentBasis) -> Array:
     """(T, n) coefficients of shapes of the same beam on another grid."""
     q = solved.q if solved.problem.modes is None else solved.q @ solved.problem.modes.T
     rows = transposed(solved.problem.grid.value_at(problem.grid.nodes))
     return np.asarray(q @ (rows @ (problem.stiff[:, None] * basis.modes)))
 
 
-def settle(problem: Problem, basis: MomentBasis, coefficients: Array) -> tuple[Array, BoolArray]:
+def settle(problem: problems.Problem, basis: problems.MomentBasis, coefficients: Array) -> tuple[Array, BoolArray]:
     """(T, Q) equilibria near coefficients (T, n), and (T,) whether one was reached nearby."""
     begin = coefficients @ basis.modes.T
     q = begin.copy()
-    forces, before = nodal_forces(problem, q), np.zeros(len(q))
-    off, matrices = gradient(problem, q, 1.0, forces), tangent(in_basis(problem, basis), coefficients, 1.0, forces)
+    forces, before = statics.nodal_forces(problem, q), np.zeros(len(q))
+    off, matrices = (
+        statics.gradient(problem, q, 1.0, forces),
+        statics.tangent(in_basis(problem, basis), coefficients, 1.0, forces),
+    )
     near = np.zeros(len(q), dtype=bool)
     todo, part, here = np.arange(len(q)), problem, q
     for _ in range(_MOST):
         within = off @ basis.modes
-        update = off / problem.stiff + (solve_batch(matrices, within) - within) @ basis.modes.T
+        update = off / problem.stiff + (statics.solve_batch(matrices, within) - within) @ basis.modes.T
         here = here - update
         size = np.max(np.abs(apply(part.to_nodes, update)), axis=-1)
         share = np.divide(size, before, out=np.ones_like(size), where=before > 0.0)  # of the previous update
@@ -177,7 +153,7 @@ def settle(problem: Problem, basis: MomentBasis, coefficients: Array) -> tuple[A
         if going.size < todo.size:
             todo, part = todo[going], part.take(going)
             here, matrices, before = here[going], matrices[going], before[going]
-        off = gradient(part, here)
+        off = statics.gradient(part, here)
     return q, near & (np.max(np.abs(apply(problem.to_nodes, q - begin)), axis=-1) < _NEARBY)
 
 
@@ -197,7 +173,7 @@ _MAX_STEPS = 400
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
-def let_fall(problem: Problem, start: Array, side: Side = "left") -> tuple[Array, BoolArray]:
+def let_fall(problem: problems.Problem, start: Array, side: Side = "left") -> tuple[Array, BoolArray]:
     """Stable equilibria (T, Q) below shapes `start` (T, Q), and (T,) whether one was reached.
 
     An unstable equilibrium is left along its least stable mode, to the beam's left or right as `side` says. Stable
@@ -224,9 +200,9 @@ def let_fall(problem: Problem, start: Array, side: Side = "left") -> tuple[Array
     return q, landed
 
 
-def to_the_left(problem: Problem, q: Array, modes: Array) -> Array:
+def to_the_left(problem: problems.Problem, q: Array, modes: Array) -> Array:
     """(T, P) 1 or -1: the sign with which curvatures (T, Q, P) move the beam to its left, on average."""
-    alpha = node_angles(problem, q)[..., None]
+    alpha = statics.node_angles(problem, q)[..., None]
     turned = problem.to_nodes @ modes
     x, y = -problem.to_nodes @ (np.sin(alpha) * turned), problem.to_nodes @ (np.cos(alpha) * turned)
     moved = np.sum(problem.weights[..., None] * (np.cos(alpha) * y - np.sin(alpha) * x), axis=-2)
@@ -235,11 +211,11 @@ def to_the_left(problem: Problem, q: Array, modes: Array) -> Array:
     return np.where(np.where(undecided, instead, moved) < 0.0, -1.0, 1.0)
 
 
-def _nudged(problem: Problem, start: Array, side: Side) -> Array:
+def _nudged(problem: problems.Problem, start: Array, side: Side) -> Array:
     """Perturbed along the least stable mode: in the direction of the residual, else to `side`."""
-    slope, matrices = balance(problem, start)
+    slope, matrices = statics.balance(problem, start)
     scale = problem.unbend
-    second = scaled(problem, matrices)
+    second = statics.scaled(problem, matrices)
     _, vectors = np.linalg.eigh(0.5 * (second + transposed(second)))
     mode = scale * vectors[..., 0]
     pull = -np.sum(slope * mode, axis=-1)  # along a mode of unit energy, root of N m
@@ -247,37 +223,37 @@ def _nudged(problem: Problem, start: Array, side: Side) -> Array:
     asked = to_the_left(problem, start, mode[..., None])[:, 0] * (1.0 if side == "left" else -1.0)
     sign = np.where(np.abs(pull) > _RESIDUAL_DECIDES * stiffness, np.sign(pull), asked)
     turn = np.max(np.abs(apply(problem.to_nodes, mode)), axis=-1)
-    amplitude = np.where(is_stable(problem, start), 0.0, sign * _NUDGE / turn)
+    amplitude = np.where(statics.is_stable(problem, start), 0.0, sign * _NUDGE / turn)
     return np.asarray(start + amplitude[:, None] * mode)
 
 
-def _downhill(problem: Problem, q: Array) -> tuple[Array, BoolArray]:
+def _downhill(problem: problems.Problem, q: Array) -> tuple[Array, BoolArray]:
     """(T, Q) the implicit step, and whether it is Newton's."""
-    slope, matrices = balance(problem, q)
-    second = scaled(problem, matrices)
+    slope, matrices = statics.balance(problem, q)
+    second = statics.scaled(problem, matrices)
     lowest = np.linalg.eigvalsh(0.5 * (second + transposed(second)))[:, 0]
     scale = problem.unbend
     sigma = np.where(lowest > 0.0, 0.0, 1.2 * np.abs(lowest) + 1e-12)
     shifted = second + sigma[:, None, None] * np.eye(second.shape[-1])
-    return -scale * solve_batch(shifted, scale * slope), np.asarray(lowest > 0.0)
+    return -scale * statics.solve_batch(shifted, scale * slope), np.asarray(lowest > 0.0)
 
 
-def _work(problem: Problem, q: Array, step: Array) -> Array:
+def _work(problem: problems.Problem, q: Array, step: Array) -> Array:
     """(T,) N m, of loads and bending from q to q + step."""
     out = np.zeros(len(q))
     for point, weight in zip(_POINTS, _WEIGHTS, strict=True):
-        here = gradient(problem, q + 0.5 * (point + 1.0) * step)
+        here = statics.gradient(problem, q + 0.5 * (point + 1.0) * step)
         out -= 0.5 * weight * np.sum(here * step, axis=-1)
     return out
 
 
-def _land(problem: Problem, q: Array) -> tuple[BoolArray, Array]:
+def _land(problem: problems.Problem, q: Array) -> tuple[BoolArray, Array]:
     """Newton's method from nearby: (T,) whether a stable equilibrium was reached, and the shapes."""
     full = np.ones(len(q))
-    corrected, near, _ = correct(
+    corrected, near, _ = statics.correct(
         problem, q, full, trust=10.0 * _NEWTON_TURN * full, remaining=1e-13 * full, max_iterations=12
     )
-    near[near] &= is_stable(problem.take(near), corrected[near])
+    near[near] &= statics.is_stable(problem.take(near), corrected[near])
     return near, np.where(near[:, None], corrected, q)
 
 
@@ -300,7 +276,9 @@ class ContinuationSettings:
     tolerance_on_the_way: float = 1e-9  # before it: near a bifurcation tiny turns decide the side
     min_step: float = 1e-9  # share of the load: a shorter step has met the end of the branch
     max_steps: int = 400
-    last: float = TOLERANCE  # of an update near a known shape: a smaller one is the last, and its square is left
+    last: float = (
+        statics.TOLERANCE
+    )  # of an update near a known shape: a smaller one is the last, and its square is left
     at_once: bool = True  # no steps for frames whose loads all push to one side
     grow: bool = True  # from rest, the frames that Newton's method loses near a known shape; False: they are not solved
 
@@ -332,13 +310,13 @@ class _State:
 
 @one_blas_thread
 def equilibrium(
-    beam: Rod,
+    beam: problems.Rod,
     loads: Loads,
     *,
-    resolution: Resolution | None = None,
+    resolution: problems.Resolution | None = None,
     settings: ContinuationSettings = ContinuationSettings(),
     fall: Side | None = None,
-) -> Equilibrium:
+) -> statics.Equilibrium:
     """Shapes under loads, on the branch that grows from rest (8).
 
     Without a `resolution` the grid is refined until it resolves the curvature of the most loaded frames (angles to 1e-9
@@ -348,41 +326,43 @@ def equilibrium(
     Raises `MechanicsError`: k(s) is not positive.
     """
     if resolution is not None:
-        return follow(make_problem(beam, loads, resolution), settings=settings, fall=fall)
+        return follow(problems.make_problem(beam, loads, resolution), settings=settings, fall=fall)
     return _on_fine_enough_grid(beam, loads, settings, fall)
 
 
-def _on_fine_enough_grid(beam: Rod, loads: Loads, settings: ContinuationSettings, fall: Side | None) -> Equilibrium:
+def _on_fine_enough_grid(
+    beam: problems.Rod, loads: Loads, settings: ContinuationSettings, fall: Side | None
+) -> statics.Equilibrium:
     """Refines the grid for the few frames that bend most."""
-    first, own = first_resolution(beam, loads)
-    resolution, problem = first, make_problem(beam, loads, first)
+    first, own = problems.first_resolution(beam, loads)
+    resolution, problem = first, problems.make_problem(beam, loads, first)
     on_first, chosen, before = problem, _hardest(problem), None
     while True:
-        part, nodal = problem if chosen is None else problem.take(chosen), remembered(beam, loads, resolution)
+        part, nodal = problem if chosen is None else problem.take(chosen), problems.remembered(beam, loads, resolution)
         basis = None if nodal is None else nodal.basis
         result = _solved(part, basis, settings, fall, before)
-        missed = missed_by_angles(part.grid, result.q)
-        if resolution.widest <= NARROW or np.all(missed < max(RESOLVED, AS_ROUGH * own)):
+        missed = problems.missed_by_angles(part.grid, result.q)
+        if resolution.widest <= problems.NARROW or np.all(missed < max(problems.RESOLVED, problems.AS_ROUGH * own)):
             break
         if before is not None and np.max(np.abs(result.xy(_TIP) - before.xy(_TIP))) < 1e-11 * beam.length:
             break
         resolution, before = replace(resolution, widest=0.5 * float(np.max(np.diff(part.grid.edges)))), result
-        problem = make_problem(beam, loads, resolution)
+        problem = problems.make_problem(beam, loads, resolution)
     if chosen is None:
         return result
-    rough, coarse = None, remembered(beam, loads, first)
+    rough, coarse = None, problems.remembered(beam, loads, first)
     if resolution != first and basis is not None and coarse is not None and fall is None:
         rough = follow(in_basis(on_first, coarse.rough), settings=replace(settings, tolerance=_ROUGHLY))
     return _solved(problem, basis, settings, fall, rough)
 
 
 def _solved(
-    problem: Problem,
-    basis: MomentBasis | None,
+    problem: problems.Problem,
+    basis: problems.MomentBasis | None,
     settings: ContinuationSettings,
     fall: Side | None,
-    before: Equilibrium | None = None,
-) -> Equilibrium:
+    before: statics.Equilibrium | None = None,
+) -> statics.Equilibrium:
     """As `follow`; with few unknowns, or from a coarser grid, where that leads to a stable equilibrium."""
     if basis is None or fall is not None:
         return follow(problem, settings=settings, fall=fall)
@@ -393,7 +373,7 @@ def _solved(
         found, begin = before, on_grid(before, problem, basis)
     q, near = settle(problem, basis, begin)
     near &= found.stable & np.isnan(found.buckled_at)
-    near &= is_stable(problem, q)
+    near &= statics.is_stable(problem, q)
     lost = np.flatnonzero(~near)
     if lost.size == 0:
         return replace(found, problem=problem, q=q)
@@ -402,7 +382,7 @@ def _solved(
     return replace(found, problem=problem, q=q).put(lost, follow(problem.take(lost), settings=settings))
 
 
-def _hardest(problem: Problem) -> IntArray | None:
+def _hardest(problem: problems.Problem) -> IntArray | None:
     """The few frames with the largest loads; None for all."""
     if problem.size <= _PROBE_FRAMES:
         return None
@@ -412,8 +392,8 @@ def _hardest(problem: Problem) -> IntArray | None:
 
 
 def follow(
-    problem: Problem, *, settings: ContinuationSettings = ContinuationSettings(), fall: Side | None = None
-) -> Equilibrium:
+    problem: problems.Problem, *, settings: ContinuationSettings = ContinuationSettings(), fall: Side | None = None
+) -> statics.Equilibrium:
     """Equilibria of a batch by load continuation from rest.
 
     With `fall`, a frame whose branch loses stability or ends falls to a stable equilibrium (`let_fall`) and is followed
@@ -441,8 +421,8 @@ def follow(
     stable = converged & ~state.lost
     doubtful = np.flatnonzero(converged & state.lost)
     if doubtful.size:
-        stable[doubtful] = is_stable(problem.take(doubtful), state.q[doubtful])
-    return Equilibrium(
+        stable[doubtful] = statics.is_stable(problem.take(doubtful), state.q[doubtful])
+    return statics.Equilibrium(
         problem=problem,
         q=state.q,
         converged=converged,
@@ -454,20 +434,22 @@ def follow(
     )
 
 
-def refine(problem: Problem, start: Array, *, settings: ContinuationSettings = ContinuationSettings()) -> Equilibrium:
+def refine(
+    problem: problems.Problem, start: Array, *, settings: ContinuationSettings = ContinuationSettings()
+) -> statics.Equilibrium:
     """Equilibria near known shapes `start` (T, Q) by Newton's method, else by `follow` (`grow`)."""
     full = np.ones(problem.size)
     trust, remaining = settings.max_turn * full, settings.tolerance * full
-    q, near, iterations = correct(problem, start, full, trust=trust, remaining=remaining, last=settings.last)
-    found = found_near(problem, q, near, iterations)
-    stands = near & is_stable(problem, q, forces=found.forces)  # an unstable one may belong to another branch
+    q, near, iterations = statics.correct(problem, start, full, trust=trust, remaining=remaining, last=settings.last)
+    found = statics.found_near(problem, q, near, iterations)
+    stands = near & statics.is_stable(problem, q, forces=found.forces)  # an unstable one may belong to another branch
     if stands.all():
         return found
-    found, lost = found_near(problem, q, stands, iterations), np.flatnonzero(~stands)
+    found, lost = statics.found_near(problem, q, stands, iterations), np.flatnonzero(~stands)
     return found.put(lost, follow(problem.take(lost), settings=settings)) if settings.grow else found
 
 
-def _advance(problem: Problem, state: _State, frames: IntArray, settings: ContinuationSettings) -> None:
+def _advance(problem: problems.Problem, state: _State, frames: IntArray, settings: ContinuationSettings) -> None:
     """One load step: accepted frames advance, the others shorten their step."""
     part = problem if frames.size == problem.size else problem.take(frames)
     q, factor = state.q[frames], state.factor[frames]
@@ -478,16 +460,16 @@ def _advance(problem: Problem, state: _State, frames: IntArray, settings: Contin
     remaining = np.where(last, settings.tolerance, settings.tolerance_on_the_way)
     trust = np.minimum(settings.trust, settings.least_correction + settings.correction_share * step * turn)
     begin = _predicted(part, state, frames, step)
-    corrected, near, count = correct(
+    corrected, near, count = statics.correct(
         part, begin, target, trust=trust, remaining=remaining, max_iterations=settings.corrections
     )
     state.iterations += count
     guarded = near & ~state.lost[frames]
     loses_stability = np.zeros_like(near)
     if np.all(guarded):
-        loses_stability = ~is_stable(part, corrected, target)
+        loses_stability = ~statics.is_stable(part, corrected, target)
     elif np.any(guarded):
-        loses_stability[guarded] = ~is_stable(part.take(guarded), corrected[guarded], target[guarded])
+        loses_stability[guarded] = ~statics.is_stable(part.take(guarded), corrected[guarded], target[guarded])
     at_last = loses_stability & (step < 4.0 * settings.min_step)  # stability is lost at any step length
     first = at_last & np.isnan(state.buckled_at[frames])
     state.buckled_at[frames[first]] = target[first]
@@ -509,7 +491,7 @@ def _stride(state: _State, frames: IntArray, settings: ContinuationSettings) -> 
     return np.minimum(step, 1.0 - state.factor[frames])
 
 
-def _look_ahead(problem: Problem, state: _State, frames: IntArray) -> None:
+def _look_ahead(problem: problems.Problem, state: _State, frames: IntArray) -> None:
     """Slope of the branch by the load, and its next two terms, for frames that moved."""
     stale = np.flatnonzero(~state.fresh[frames])
     if stale.size == 0:
@@ -522,7 +504,7 @@ def _look_ahead(problem: Problem, state: _State, frames: IntArray) -> None:
         slope = right / part.stiff
         second, third = terms_at_rest(part, q, slope)
     else:
-        slope = solve_batch(tangent(part, q, factor), right)
+        slope = statics.solve_batch(statics.tangent(part, q, factor), right)
         second, third = _terms_behind(state, chosen, slope)
     state.slope[chosen], state.second[chosen], state.third[chosen] = slope, second, third
     state.turn[chosen] = np.max(np.abs(apply(part.to_nodes, slope)), axis=-1)
@@ -539,7 +521,7 @@ def _terms_behind(state: _State, frames: IntArray, slope: Array) -> tuple[Array,
     return np.where(np.isnan(h), 0.0, second), np.where(np.isnan(h), 0.0, third)
 
 
-def _predicted(problem: Problem, state: _State, frames: IntArray, step: Array) -> Array:
+def _predicted(problem: problems.Problem, state: _State, frames: IntArray, step: Array) -> Array:
     """(T, Q) prediction along the slope, with higher terms if they change little."""
     t = step[:, None]
     with np.errstate(invalid="ignore", over="ignore"):  # after a very short step the cubic is NaN
@@ -549,7 +531,7 @@ def _predicted(problem: Problem, state: _State, frames: IntArray, step: Array) -
     return state.q[frames] + t * state.slope[frames] + np.where(little[:, None], bent, 0.0)
 
 
-def _fall(problem: Problem, state: _State, frames: IntArray, side: Side) -> None:
+def _fall(problem: problems.Problem, state: _State, frames: IntArray, side: Side) -> None:
     """Frames off their branch fall under a slightly larger load, or end."""
     if frames.size == 0:
         return
@@ -571,14 +553,14 @@ _STARTS = np.array([-6.0, -3.0, -1.0, 1.0, 3.0, 6.0])  # rad, turn of the free e
 _SAME = 1e-6  # rad, distance below which equilibria are one
 
 
-def stable_equilibria(problem: Problem) -> tuple[Array, IntArray]:
+def stable_equilibria(problem: problems.Problem) -> tuple[Array, IntArray]:
     """Curvatures (E, Q) [rad] of the stable equilibria under dead loads, and their frames (E,), ordered by the angle of
     the free end."""
     every = np.repeat(np.arange(problem.size), len(_STARTS))
     bent = np.tile(_STARTS, problem.size)[:, None] + np.broadcast_to(problem.q0, problem.dead_force.shape[:2])[every]
     q, landed = let_fall(problem.take(every), bent)
     q, frame = q[landed], every[landed]
-    alpha = node_angles(problem.take(frame), q)
+    alpha = statics.node_angles(problem.take(frame), q)
     order = np.lexsort((alpha[:, -1], frame))
     q, frame, alpha = q[order], frame[order], alpha[order]
     same = (np.diff(frame) == 0) & (np.max(np.abs(np.diff(alpha, axis=0)), axis=-1, initial=0.0) < _SAME)

@@ -107,14 +107,6 @@ def transposed(matrix: Array) -> Array:
     return np.swapaxes(matrix, -1, -2)
 
 
-def paired(x: Array, y: Array) -> Array:
-    """(..., 2), faster than `numpy.stack`; x and y are broadcast."""
-    shape = x.shape if x.shape == y.shape else np.broadcast_shapes(x.shape, y.shape)
-    out = np.empty((*shape, 2))
-    out[..., 0], out[..., 1] = x, y
-    return out
-
-
 def solve_each(matrices: Array, right: Array) -> Array:
     """(T, n, P) solutions of T systems; NaN if singular."""
     try:

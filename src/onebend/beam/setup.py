@@ -32,7 +32,7 @@ from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import LogSpline, RectangularSection, UncertainStiffness
 from onebend.errors import MechanicsError
 from onebend.record_data import record_from
-from onebend.records import Array, BoolArray, IntArray
+from onebend.records import Array, BoolArray, IntArray, rotated, unit
 
 Renewed = Literal["contact", "tool", "sensor", "mounting"]  # contact: the same tool touches the beam elsewhere
 # The parts of a set-up, the unit of each, and with what they are new.
@@ -180,7 +180,7 @@ class SetUp:
             return self._part(x, name, size)
 
         still = push(np.zeros((count, 2)), push_s)
-        plain = make_problem(beam, still + weight(gravity) if any(gravity) else still, RESOLUTION)
+        plain = make_problem(beam, still + weight(gravity), RESOLUTION)
         nodes, weights = plain.grid.nodes, plain.weights
         log_k = coefficients @ known.basis(nodes).T + part("log k", 3) @ Modes(3).curvature(nodes).T
         k = np.exp(log_k + (0.0 if known.offset is None else known.offset(nodes)))
@@ -192,7 +192,7 @@ class SetUp:
         stretch, shear = RectangularSection(self.thickness).compliance(k, weights, length)
         share = np.maximum(1.0 + part("section"), 0.0) if "section" in self.sizes else np.zeros((1, 1))
         q0 = plain.q0 + (part("curvature", 3) - self._part(self.mean, "curvature", 3)) @ Modes(3).curvature(nodes).T
-        logged = np.exp(-part("gain")) * _turned(force, part("direction")[:, 0])
+        logged = np.exp(-part("gain")) * rotated(force, part("direction")[:, 0])
         base = replace(plain, k=k, length=length, q0=q0, stretch=share * stretch, shear=share * shear)
         beyond, farther = (nodes < push_s).astype(float), share_farther(base, np.full(count, push_s))
         rest = follow(replace(base, alpha0=beam.clamp_angle + part("clamp")))
@@ -231,7 +231,7 @@ class SetUp:
         """
         exact, angle = self._with_zeros("direction", "force error", "gain"), float(np.arctan2(*self.force[::-1]))
         turns, sizes = angle + np.array(_TURNS), np.hypot(*self.force) * np.array(_SHARES)
-        force = (sizes[:, None, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)).reshape(-1, 2)
+        force = (sizes[:, None, None] * unit(turns)).reshape(-1, 2)
         there = exact.bent(beam, known, force, gravity=gravity)
         if not np.any(there.stands):
             raise MechanicsError("the beam does not stand in its set-up under the forces that it was learned from")
@@ -241,8 +241,7 @@ class SetUp:
         wanted = np.where(there.stands[:, None, None], there.xy(places), np.nan)
         s = np.linspace(0.0, 1.0, 8 * len(known.mean))
         onto = np.linalg.lstsq(known.basis(s), Modes(_FITTED).curvature(s), rcond=None)[0]
-        loads = push(force, self.push_s)
-        loads = loads + weight(gravity) if any(gravity) else loads
+        loads = push(force, self.push_s) + weight(gravity)
 
         def of(c: Array) -> Beam:
             logs = tuple((known.mean + onto @ c[2:]).tolist())
@@ -290,7 +289,7 @@ class SetUp:
         """(T, 2) N that the sensor shows for forces (T, 2) on the beam; `moved` (T, 2) as there."""
         on_sensor = force - _of_terms(self._part(self.mean, "force error", _ERRORS), moved)
         turn = np.full(len(force), -self._part(self.mean, "direction", 1)[0])
-        return np.asarray(np.exp(self._part(self.mean, "gain", 1)[0]) * _turned(on_sensor, turn))
+        return np.asarray(np.exp(self._part(self.mean, "gain", 1)[0]) * rotated(on_sensor, turn))
 
     def beyond(self, forces: Array) -> float:
         """How many times as large as in the recording the largest of `forces` (..., 2) [N] is; 0 up to 1.5 times."""
@@ -360,7 +359,7 @@ class Bent:
         """(T, m, 3) m, m, rad: the tags in that frame."""
         s = np.array(self.setup.tags)
         angle, turn = self.solved.angle(s), self.setup._part(self.numbers, "turn", len(s))
-        away = _turned(self.setup.offsets(self.numbers), angle)
+        away = rotated(self.setup.offsets(self.numbers), angle)
         return np.concatenate([self.xy(s) + away, (angle + turn)[..., None]], axis=-1)
 
     def axis_at(self, s: Array, tags: IntArray) -> Array:
@@ -368,7 +367,7 @@ class Bent:
         mean offset."""
         out, off = self.xy(s), self.setup.offsets(self.numbers) - self.setup.offsets(self.setup.mean)
         for i in np.flatnonzero(tags >= 0):
-            out[:, i] += _turned(off[:, self.setup.tag_at(int(tags[i]))], self.solved.angle(s[i : i + 1])[:, 0])
+            out[:, i] += rotated(off[:, self.setup.tag_at(int(tags[i]))], self.solved.angle(s[i : i + 1])[:, 0])
         return out
 
 
@@ -394,9 +393,3 @@ def _least_squares(slopes: Array, off: Array, sd: Array, now: Array) -> Array:
     """(n,) step to the most probable numbers of prior `sd` (n,) about zero, from `now` (n,); noise of sd one."""
     rows = slopes.reshape(-1, len(sd))
     return np.asarray(np.linalg.solve(rows.T @ rows + np.diag(sd**-2), rows.T @ off.ravel() - now / sd**2))
-
-
-def _turned(vectors: Array, angle: Array) -> Array:
-    """(..., 2) vectors turned by angles (...) [rad]."""
-    (x, y), cos, sin = np.moveaxis(vectors, -1, 0), np.cos(angle), np.sin(angle)
-    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)

@@ -8,9 +8,9 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.linalg.lapack import dpotrf
 
-from onebend.beam.grid import apply, paired, solve_each, transposed
+from onebend.beam.grid import apply, solve_each, transposed
 from onebend.beam.problem import Problem
-from onebend.records import Array, BoolArray, IntArray
+from onebend.records import Array, BoolArray, IntArray, paired
 
 # Planar rod of Simo and Reissner. Directors d1 = (cos alpha, sin alpha), d2 = (-sin alpha, cos alpha); n(s) is the sum
 # of all forces beyond s, N = n . d1, Q = n . d2:

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.interpolate import BSpline, PchipInterpolator
 from scipy.special import ndtri
 
+from onebend.beam.grid import powers_to_legendre
 from onebend.errors import MechanicsError
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, IntArray
@@ -293,6 +294,13 @@ def gaussian_basis(s: Array | float, centres: Array | tuple[float, ...], width: 
 def power_basis(s: Array | float, m: int) -> Array:
     """`s.shape + (m,)`: `s^0 .. s^(m-1)`."""
     return np.asarray(np.asarray(s, dtype=float)[..., None] ** np.arange(m))
+
+
+def by_legendre(states: Array) -> Profile:
+    """The profile with these Legendre coefficients."""
+    if np.all(states[1:] == 0.0):
+        return Uniform(float(states[0]))
+    return Powers(tuple(np.linalg.solve(powers_to_legendre(len(states)), states).tolist()))
 
 
 def equidistant(m: int) -> tuple[float, ...]:

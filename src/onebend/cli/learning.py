@@ -18,11 +18,8 @@ from onebend.cli.models import SetUpOptions, read_trusted
 from onebend.cli.screens import show_damping, show_frequencies, show_run, show_sensed, show_validation
 from onebend.files.publish import amend, this_onebend
 from onebend.files.single_file import check_name_free, write_file
-from onebend.learning.design import Plan, PlanSettings
-from onebend.learning.optimizer import FitSettings
-from onebend.learning.paper import RegressionSettings
+from onebend.learning import design, optimizer, paper, swing
 from onebend.learning.sensing.sense import SenseSettings, sense as sense_force
-from onebend.learning.swing import DampingSettings, FilmPart, frequencies_of, learn_damping
 from onebend.options import Only
 from onebend.pipeline import Run, compare, learn as learn_from, plan_next
 from onebend.progress import Progress
@@ -70,7 +67,7 @@ MostModes = Annotated[int, typer.Option("--modes", min=1, max=8, metavar="N", he
 def frequencies(
     source: Swinging,
     *,
-    part: FilmPart,
+    part: swing.FilmPart,
     slowed: Slowed = 1.0,
     most: MostModes = 4,
     observing: Watched,
@@ -80,7 +77,7 @@ def frequencies(
     with common.clean_errors(), common.progress_of(quiet) as progress:
         detect = detection_cache().detect
         signals = swing_signals(source, threads=observing.threads, detect=detect, progress=progress)
-        found = frequencies_of(signals.time, signals.value, part, most=most, name=signals.name)
+        found = swing.frequencies_of(signals.time, signals.value, part, most=most, name=signals.name)
     found = found.sped_up(slowed)
     common.answer(
         as_json,
@@ -93,8 +90,8 @@ def damp(
     model: common.Model,
     recording: common.Recording,
     *,
-    part: FilmPart,
-    settings: DampingSettings,
+    part: swing.FilmPart,
+    settings: swing.DampingSettings,
     output: ModelFile = None,
     observing: Watched,
     overwrite: common.Overwrite = False,
@@ -107,7 +104,7 @@ def damp(
             check_name_free(output, overwrite=overwrite)
         with common.progress_of(quiet) as progress:
             seen = _observed(stored, recording, observing, progress)
-            fit = learn_damping(stored.beam, seen, uncertain=stored.uncertain, part=part, settings=settings)
+            fit = swing.learn_damping(stored.beam, seen, uncertain=stored.uncertain, part=part, settings=settings)
         if output is not None:
             whole = replace(stored, beam=fit.beam, damping=fit.damping)
             text = model_text(whole, written_by=this_onebend())
@@ -153,7 +150,7 @@ def _observed(stored: StoredModel, recording: Path, observing: ObserveSettings, 
     return observe(files, settings=observing, detect=detect, progress=progress)
 
 
-def plan_table(plan: Plan) -> Table:
+def plan_table(plan: design.Plan) -> Table:
     title = "Next pushes, those that need nothing new first, then by the mean half-width that k(s) would have"
     table = common.listing(title, "", "push at s", "<force", "to [N]", "tip [mm]", "<needs", "k(s) then")
     for i, proposal in enumerate(plan.proposals):
@@ -170,7 +167,7 @@ def plan_table(plan: Plan) -> Table:
     return table
 
 
-def show_plan(console: Console, plan: Plan) -> None:
+def show_plan(console: Console, plan: design.Plan) -> None:
     console.print(say("known now", **vars(plan)))
     console.print(plan_table(plan))
     console.print("\n[bold]best:[/]", Text(words(plan.proposals[0].notice)))
@@ -206,8 +203,8 @@ def learn(
     output: common.Output = None,
     validate_on: ValidateOn = None,
     method: Method = "fit",
-    settings: RegressionSettings,
-    fitting: FitSettings,
+    settings: paper.RegressionSettings,
+    fitting: optimizer.FitSettings,
     observing: Observing,
     overwrite: common.Overwrite = False,
     no_report: NoReport = False,
@@ -298,7 +295,7 @@ def validate(
 
 
 def plan(
-    model: common.Model, *, settings: PlanSettings, as_json: common.Json = False, quiet: common.Quiet = False
+    model: common.Model, *, settings: design.PlanSettings, as_json: common.Json = False, quiet: common.Quiet = False
 ) -> None:
     with common.clean_errors(), common.progress_of(quiet) as progress:
         read_trusted(model)  # warns of doubts

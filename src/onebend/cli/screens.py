@@ -301,15 +301,11 @@ def _stiffness(console: Console, run: Run) -> list[RenderableType]:
     rows = min(max(console.height - 18, _FEWEST_ROWS), _MOST_ROWS)
     measured = confidence.measured_beam(run)
     words = confidence.modulus_words(measured)
-    below: list[RenderableType] = [_sentences(words)] if words else []
+    below: list[RenderableType] = [Text("\n".join(words))] if words else []
     known = run.beam if run.posterior is None else run.posterior.stiffness
     modulus = None if run.posterior is None else confidence.modulus_rows(measured, band_places(columns))
     numbers = band_table(known, columns=columns, modulus=modulus)
     return [band_plot(known, columns=columns, rows=rows), numbers, *below]
-
-
-def _sentences(words: Sequence[str]) -> Text:
-    return Text("\n".join(words))
 
 
 def say_path(console: Console, what: str, path: Path) -> None:

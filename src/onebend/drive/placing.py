@@ -16,18 +16,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
 from onebend.drive.robots import ToolPose, pose_of
 from onebend.errors import RecordingError
 from onebend.live.force_sensors import TOOL
-from onebend.recording.camera import measure_poses
-from onebend.recording.entries import ForceEntry, Recording, TagEntry
+from onebend.recording import camera, entries, signals, tables, tags
 from onebend.recording.observe import observe
-from onebend.recording.signals import from_clamp
-from onebend.recording.tables import read_columns
-from onebend.recording.tags import detect_tags
 from onebend.records import Array, Observations
 
 TILT_SD = math.radians(2.0)  # of the plane of bending against the plane of the log's two axes
@@ -75,7 +70,7 @@ class Placement:
         return replace(self, origin=origin, covariance=known, pivot=np.asarray(position, dtype=float))
 
 
-def axes_of(force: ForceEntry) -> Array:
+def axes_of(force: entries.ForceEntry) -> Array:
     """(3, 3) the beam's axes in the robot's base, where the force log is in the axes of that base.
 
     Raises:
@@ -102,7 +97,7 @@ def _unit(axis: str) -> Array:
     return out
 
 
-def stated_placement(rec: Recording) -> Placement:
+def stated_placement(rec: entries.Recording) -> Placement:
     """What recording.toml alone says: axes as good as it says, and no place.
 
     Raises:
@@ -158,7 +153,7 @@ def fitted(seen: Array, tool: Sequence[ToolPose], prior: Placement, offset_sd: f
     return Placement(rotation, origin, covariance, pivot, sd, source)
 
 
-def from_recording(rec: Recording, *, tool_tag: int | None = None) -> Placement:
+def from_recording(rec: entries.Recording, *, tool_tag: int | None = None) -> Placement:
     """From a recorded push whose force log has the robot's pose; by the pushed point, or by a tag on the tool.
 
     Raises:
@@ -183,11 +178,11 @@ def from_recording(rec: Recording, *, tool_tag: int | None = None) -> Placement:
     return fitted(seen, tool, prior, CONTACT_SD if tool_tag is None else ON_TOOL_SD, f"{what} of {rec.name}")
 
 
-def _logged_poses(rec: Recording) -> tuple[Array, Array]:
+def _logged_poses(rec: entries.Recording) -> tuple[Array, Array]:
     """(N,) s and (N, 6) of the robot's tool, from the columns that `record` writes."""
     assert rec.force is not None
     advice = "Record the push with --force ur:HOST or franka:HOST, or say --place start."
-    table = read_columns(rec.force.file, ("time_s", *TOOL), kind="force log", advice=lambda _: advice)
+    table = tables.read_columns(rec.force.file, ("time_s", *TOOL), kind="force log", advice=lambda _: advice)
     poses = np.stack(list(table.numbers.values()), axis=1)
     poses = poses[np.isfinite(poses).all(axis=1)]
     poses[:, 4:] = np.unwrap(poses[:, 4:], axis=0)
@@ -201,28 +196,19 @@ def _pushed_points(made: Observations) -> tuple[Array, Array]:
         known = np.isfinite(made.xy[t]).all(axis=-1) & np.isfinite(made.angle[t])
         if known.any():
             times.append(made.time[t])
-            places.append(
-                along_tags(made.marker_s[known], made.xy[t, known], made.angle[t, known], made.length)(made.push_s[t])
-            )
+            axis = signals.along_tags(made.marker_s[known], made.xy[t, known], made.angle[t, known], made.length)
+            places.append(axis(made.push_s[t]))
     return np.array(times), np.array(places).reshape(-1, 2)
 
 
-def along_tags(s: Array, xy: Array, angle: Array, length: float) -> CubicHermiteSpline:
-    """The beam's axis from clamp and tags, s (m,), (m, 2) m, (m,) rad: a cubic with their directions."""
-    at, (places,), (angles,) = from_clamp(s, xy[None], angle[None])
-    at, first = np.unique(at, return_index=True)
-    tangents = length * np.stack([np.cos(angles[first]), np.sin(angles[first])], axis=-1)
-    return CubicHermiteSpline(at, places[first], tangents)
-
-
-def _tool_tags(rec: Recording, made: Observations, tag: int) -> tuple[Array, Array]:
+def _tool_tags(rec: entries.Recording, made: Observations, tag: int) -> tuple[Array, Array]:
     """The same of a tag on the tool."""
     view, clock = made.source.view, made.source.clock
     if rec.video is None or view is None or clock is None:
         raise RecordingError(f"{rec.folder}: a tag on the tool is seen in a film alone, and this recording has none.")
-    found = detect_tags(rec.video, replace(rec.tags, on_beam=(*rec.tags.on_beam, TagEntry(id=tag, s=1.0))))
+    found = tags.detect_tags(rec.video, replace(rec.tags, on_beam=(*rec.tags.on_beam, entries.TagEntry(id=tag, s=1.0))))
     corners, view = found.corners[:, -1:], replace(view, lying=view.lying[:0])
-    poses, _, _ = measure_poses(view, corners, rec.tags.size, noise=max(view.corner_sd, 0.02))
+    poses, _, _ = camera.measure_poses(view, corners, rec.tags.size, noise=max(view.corner_sd, 0.02))
     shown = np.isfinite(poses.xy[:, 0]).all(axis=-1)
     return found.time[shown] + clock.offset, poses.xy[shown, 0]
 

@@ -23,10 +23,7 @@ from onebend.drive.plan import DrivePlan, plan_data
 from onebend.drive.robots import Robot
 from onebend.errors import OnebendError, RecordingError
 from onebend.files.single_file import write_file
-from onebend.live.guidance import CaptureOutcome, CaptureSettings, CaptureState, Stop
-from onebend.live.live import Live, LiveSettings
-from onebend.live.recording_folder import GrowingTable, with_values
-from onebend.live.session import Follower, record
+from onebend.live import guidance, live, recording_folder, session
 from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame
 from onebend.progress import interrupts_held, leave_interrupts_to_parent, real_time
 from onebend.recording.entries import Recording
@@ -49,7 +46,7 @@ LEARNED_EVERY = 3.0  # s
 class DriveOutcome:
     """What a drive left."""
 
-    recorded: CaptureOutcome
+    recorded: guidance.CaptureOutcome
     drive: Drive
     data: dict[str, Any]  # as in drive.json
 
@@ -95,7 +92,7 @@ class _Watched:
 
 def drive(
     folder: Path, plan: DrivePlan, camera: CameraSource, robot: Robot, sensor: ForceSource | None = None, *,
-    watch: Callable[[DriveState], None] = lambda _: None, stop: Stop | None = None, clock: Clock | None = None,
+    watch: Callable[[DriveState], None] = lambda _: None, stop: guidance.Stop | None = None, clock: Clock | None = None,
     beside: bool = True, overwrite: bool = False, setup: float = 1.0,
 ) -> DriveOutcome:  # fmt: skip
     """Drive, and record into `folder`, which holds a recording.toml.
@@ -114,7 +111,7 @@ def drive(
     made = Drive(plan, robot, rec, sensor, watch)
     over, table = threading.Event(), _DriveTable(folder / TABLE, made, overwrite=overwrite)
 
-    def now_and_then(state: CaptureState) -> None:
+    def now_and_then(state: guidance.CaptureState) -> None:
         was, pressed[0] = pressed[0], stop is not None and stop.is_set()
         if pressed[0] and not was:
             made.stop()
@@ -124,14 +121,14 @@ def drive(
             over.set()
 
     pressed = [False]
-    settings = CaptureSettings(
+    settings = guidance.CaptureSettings(
         ends=False, setup=setup, share=0.0, rest=plan.settings.rest, follow=False, overwrite=overwrite,
         longest=1e5, most_waiting=0,
     )  # fmt: skip
     learner = Renewer(made, rec, settings, beside=beside) if plan.settings.learn else None
     try:
         with real_time() if clock is None else nullcontext():
-            recorded = record(
+            recorded = session.record(
                 folder, _Watched(camera, made), made, settings, now_and_then, over, clock=clock, tags=table.see,
                 follower=learner,
             )  # fmt: skip
@@ -153,7 +150,7 @@ def state_push(folder: Path, push_s: float) -> None:
     content = read_text(path, RecordingError, most=MOST_TOML)
     rec = read_recording(folder, filmed=False)
     if rec.push is not None and rec.push.at != push_s:
-        write_file(path, with_values(content, "push", {"at_s": f"{push_s:.6g}"}), overwrite=True)
+        write_file(path, recording_folder.with_values(content, "push", {"at_s": f"{push_s:.6g}"}), overwrite=True)
 
 
 def drive_data(plan: DrivePlan, made: Drive) -> dict[str, Any]:
@@ -195,7 +192,7 @@ class _DriveTable:
         self._path, self._drive = path, made
         if path.exists() and not overwrite:
             raise RecordingError(f"{path} is there already. Drive into another folder, or add --overwrite.")
-        self._table: GrowingTable | None = None
+        self._table: recording_folder.GrowingTable | None = None
 
     def see(self, frame: Frame, time: float, corners: Array) -> None:
         made = self._drive
@@ -204,7 +201,7 @@ class _DriveTable:
             return
         if self._table is None:
             self._path.unlink(missing_ok=True)
-            self._table = GrowingTable(self._path, COLUMNS)
+            self._table = recording_folder.GrowingTable(self._path, COLUMNS)
         state = made.now()
         goal = [float(len(made.outcomes)), *state.point, state.distance, *state.asked, *state.felt]
         self._table.add(np.array([[time, *goal, *made.tool, state.delay]]), _FORMATS)
@@ -219,7 +216,7 @@ class _DriveTable:
 # k(s), learned while driving from what the tags and the sensor show, and a new controller by it. All of it is done in a
 # process beside this one: it takes seconds at a time.
 
-_REVIEWS = LiveSettings(least_apart=3.0, review_growth=1.5)  # for some seconds each no frame is learned from
+_REVIEWS = live.LiveSettings(least_apart=3.0, review_growth=1.5)  # for some seconds each no frame is learned from
 
 
 class _Learner:
@@ -227,7 +224,7 @@ class _Learner:
 
     def __init__(self, plan: DrivePlan, rec: Recording, error: float) -> None:
         """The clock of the force is that of the film to `error` [s]."""
-        self.live = Live(rec, clock=(0.0, error), settings=_REVIEWS, beside=False)
+        self.live = live.Live(rec, clock=(0.0, error), settings=_REVIEWS, beside=False)
         self._plan = plan
 
     def renewed(self, goal: Array, force: Array, old: Beam) -> Controller | None:
@@ -251,10 +248,10 @@ class _Learner:
             return None
 
 
-class Renewer(Follower):
+class Renewer(session.Follower):
     """Finds the tags, tells a learner, and the drive how to go on."""
 
-    def __init__(self, made: Drive, rec: Recording, settings: CaptureSettings, *, beside: bool) -> None:
+    def __init__(self, made: Drive, rec: Recording, settings: guidance.CaptureSettings, *, beside: bool) -> None:
         """`beside`: the learner has a process of its own."""
         super().__init__(rec, settings)
         self._drive, self._next, self._asked = made, 0.0, False

@@ -20,12 +20,9 @@ from onebend.control.loaded_beam import prepared, trace
 from onebend.control.reach_set import stability_margin
 from onebend.errors import ObservationError
 from onebend.live.history import FrameReader
-from onebend.recording.beam_frame import to_beam_frame
-from onebend.recording.camera import measure_markers
-from onebend.recording.entries import Recording
+from onebend.recording import beam_frame, camera, entries
 from onebend.recording.force import to_beam
-from onebend.recording.plane import rotated
-from onebend.records import Array, Detections
+from onebend.records import Array, Detections, rotated, unit
 
 
 class BentModel:
@@ -47,7 +44,7 @@ class BentModel:
     def poses(self) -> Array:
         """(S, 3) m, m, rad: the beam at `s`."""
         q, alpha = self.pushed.whole(self.state.q), self.pushed.angles(self.state.q)
-        xy = self._length * self._integral @ np.stack([np.cos(alpha), np.sin(alpha)], axis=-1)
+        xy = self._length * self._integral @ unit(alpha)
         turn = float(np.ravel(self.pushed.problem.alpha0)[0]) + self._integral @ q
         return np.column_stack([xy, turn])
 
@@ -80,7 +77,7 @@ class SeenBeam:
 class Eye:
     """Reads pictures' corners: first those of the rest, then the beam."""
 
-    def __init__(self, rec: Recording, model_rest: Array) -> None:
+    def __init__(self, rec: entries.Recording, model_rest: Array) -> None:
         """`model_rest` (m, 3) m, m, rad: the tags' places on the unloaded beam, by the model."""
         self.reader: FrameReader | None = None
         self.rest_noise = self.camera_sd = math.nan  # m: of a tag in one picture; what the camera adds to all
@@ -107,9 +104,9 @@ class Eye:
         rec = self._rec
         time, corners = np.array([one for one, _ in self._rest]), np.stack([one for _, one in self._rest])
         tags = np.array([tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)], dtype=np.int64)
-        found = measure_markers(Detections(time, tags, corners, shape[1], shape[0]), rec)
+        found = camera.measure_markers(Detections(time, tags, corners, shape[1], shape[0]), rec)
         pull = np.broadcast_to(np.asarray(gravity), (len(time), 2))
-        markers, _, _ = to_beam_frame(found, np.ones(len(time), dtype=bool), rec.tags.placement_sd, pull)
+        markers, _, _ = beam_frame.to_beam_frame(found, np.ones(len(time), dtype=bool), rec.tags.placement_sd, pull)
         assert markers.view is not None
         by_camera = np.zeros((1, len(self._model), 3, 1)) if markers.by_camera is None else markers.by_camera
         shared = by_camera[:1] @ np.swapaxes(by_camera[:1], -1, -2)
@@ -156,7 +153,7 @@ def point_between(seen: SeenBeam, s: Array, modelled: Array, length: float) -> t
         return np.full(2, np.nan), math.nan
     places, order = np.append(0.0, s[:-1][shown]), np.argsort(np.append(0.0, s[:-1][shown]), kind="stable")
     off = np.vstack([np.zeros(2), seen.xy[shown] - modelled[:-1][shown, :2]])
-    slope = _tangents(seen.angle[shown]) - _tangents(modelled[:-1][shown, 2])
+    slope = unit(seen.angle[shown]) - unit(modelled[:-1][shown, 2])
     slopes = length * np.vstack([np.zeros(2), slope])
     between = CubicHermiteSpline(places[order], off[order], slopes[order])
     inside = min(at, float(places.max()))
@@ -166,10 +163,6 @@ def point_between(seen: SeenBeam, s: Array, modelled: Array, length: float) -> t
 
 
 _BEYOND = 0.1  # of the length, by which the point may be beyond the last tag that is seen
-
-
-def _tangents(angle: Array) -> Array:
-    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
 class DelayMeter:

@@ -23,10 +23,7 @@ from scipy.spatial.transform import Rotation
 from onebend.drive.placing import axes_of
 from onebend.drive.robots import DEAD_MAN, ArmState, Skill, ToolForce, ToolPose
 from onebend.errors import MechanicsError, RecordingError
-from onebend.lab.bench_camera import BenchCamera
-from onebend.lab.filming import PLACES
-from onebend.lab.rod import RodTask, balanced, cells_of, contact_of, poses_of, relaxation
-from onebend.lab.virtual import VirtualBench
+from onebend.lab import bench_camera, filming, rod, virtual
 from onebend.live.sources import Clock, End, Frame, StampTiming
 from onebend.progress import interrupts_held, leave_interrupts_to_parent, real_time
 from onebend.recording.entries import Recording
@@ -40,7 +37,7 @@ TICK = 0.008  # s of the simulation
 class VirtualSetup:
     """All that is there."""
 
-    bench: VirtualBench  # its beam, tags and effects; its push and its sensor play no part
+    bench: virtual.VirtualBench  # its beam, tags and effects; its push and its sensor play no part
     rec: Recording  # what recording.toml says: camera, axes of the force, place of the push
     holds: bool = True  # the hand holds the end and turns it
     lag: float = 0.02  # s, of the robot
@@ -73,15 +70,15 @@ class VirtualCell:
         self._axes = axes_of(rec.force) @ Rotation.from_rotvec(setup.off).as_matrix()
         self._sign = -1.0 if rec.force.acts_on == "robot" else 1.0
         at = 1.0 if setup.holds or rec.push is None else bench.push.at_s
-        self._task = RodTask(bench.beam, bench.effects, np.array([tag.s for tag in bench.tags]), _nothing, at, 1.0)
-        self._cells = cells_of(self._task, PLACES)
+        self._task = rod.RodTask(bench.beam, bench.effects, np.array([tag.s for tag in bench.tags]), _nothing, at, 1.0)
+        self._cells = rod.cells_of(self._task, filming.PLACES)
         self.edges = self._cells.edges  # (N + 1,) s of `poses`
-        self._contact = contact_of(self._task, self._cells)
+        self._contact = rod.contact_of(self._task, self._cells)
         count = len(self._cells.size)
-        self._decay, self._old, self._new = relaxation(bench.effects, TICK)
+        self._decay, self._old, self._new = rod.relaxation(bench.effects, TICK)
         self._angle, self._lagged, self._turned = self._contact.rest, np.zeros(count), np.zeros(count)
         self._node = int(np.argmin(np.abs(self._cells.edges - at)))
-        self._shown = np.searchsorted(self._cells.edges, PLACES - 1e-9)
+        self._shown = np.searchsorted(self._cells.edges, filming.PLACES - 1e-9)
         self.wrench = np.zeros(3 if setup.holds else 2)
         self._inverse: Array = np.zeros((0, 0))
         self._by_wrench: Array = np.zeros((0, 0))
@@ -94,7 +91,7 @@ class VirtualCell:
         self._exposed = begin  # s, of the next picture
         self._camera = None
         if draws:
-            self._camera = BenchCamera(bench, rec, noise=setup.noise, sees=setup.sees, seed=setup.seed)
+            self._camera = bench_camera.BenchCamera(bench, rec, noise=setup.noise, sees=setup.sees, seed=setup.seed)
         self.largest, self._wrench = 0.0, np.zeros(6)  # N on the beam so far; as it was said last
 
     def advance(self, until: float) -> None:
@@ -230,11 +227,11 @@ class VirtualCell:
             beyond[-1] = wrench[2] / arm * np.array([-math.sin(last), math.cos(last)])
         stiffer = float(self.faults.get("softer", 1.0))
         scaled = cells if stiffer == 1.0 else replace(cells, joint=stiffer * cells.joint)
-        found, place = balanced(
+        found, place = rod.balanced(
             scaled, self._contact, angle, wrench[:2], beyond, share * self._held(), share * self._new
         )
         held = wrench[:2] * self._contact.loaded(place)[:, None] + beyond
-        return found, poses_of(scaled, found, held)
+        return found, rod.poses_of(scaled, found, held)
 
     def _expose(self) -> None:
         """A picture is taken now, and drawn when it is fetched."""

@@ -62,12 +62,8 @@ def _npz(rod: RodSample, asked: Request) -> bytes:
     return memory.getvalue()
 
 
-def _csv(rod: RodSample, asked: Request) -> bytes:
-    return as_csv(pa.table(columns(rod, asked.samples)))
-
-
-def _parquet(rod: RodSample, asked: Request) -> bytes:
-    return as_parquet(pa.table(columns(rod, asked.samples)))
+def _table(as_bytes: Callable[[pa.Table], bytes]) -> Callable[[RodSample, Request], bytes]:
+    return lambda rod, asked: as_bytes(pa.table(columns(rod, asked.samples)))
 
 
 def _sheet(rod: RodSample, _: Request) -> bytes:
@@ -124,9 +120,9 @@ KINDS: dict[Kind, ExportKind] = {
     "python": ExportKind(source.function, ".py", "a Python file with `shape(force, at_s)`, which needs no package",
                          "python -i {path}", _TABLE, "1e-9 L; 0.04 % L where k(s) steps"),
     "sheet": ExportKind(_sheet, ".pdf", "a page for people, and the table beside it", "open {path}", _ALL),
-    "csv": ExportKind(_csv, ".csv", "a table along s", "open {path}", _TABLE),
+    "csv": ExportKind(_table(as_csv), ".csv", "a table along s", "open {path}", _TABLE),
     "numpy": ExportKind(_npz, ".npz", "a table along s for numpy.load", "numpy.load('{path}')['k_N_m']", _TABLE),
-    "parquet": ExportKind(_parquet, ".parquet", "a table along s", "pandas.read_parquet('{path}')", _TABLE),
+    "parquet": ExportKind(_table(as_parquet), ".parquet", "a table along s", "pandas.read_parquet('{path}')", _TABLE),
 }
 # fmt: on
 assert set(KINDS) == set(get_args(Kind))

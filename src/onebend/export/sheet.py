@@ -48,7 +48,7 @@ def sheet(rod: RodSample) -> bytes:
         figure.text(0.08, 0.955, "Bending stiffness of a slender beam", fontsize=16, weight="bold")
         y = 0.925
         for name, text in _facts(rod):
-            lines = _folded(text)
+            lines = textwrap.wrap(text, _WIDE, max_lines=_LINES, placeholder=" …") or [""]
             figure.text(0.08, y, name, fontsize=9, weight="bold", va="top")
             figure.text(0.24, y, "\n".join(lines), fontsize=9, va="top", linespacing=1.25)
             y -= 0.005 + 0.0145 * len(lines)
@@ -170,7 +170,3 @@ def _digits(value: float) -> str:
 
 def _pascal(value: float) -> str:
     return f"{1e-6 * value:.3g} MPa"
-
-
-def _folded(text: str) -> list[str]:
-    return textwrap.wrap(text, _WIDE, max_lines=_LINES, placeholder=" …") or [""]

@@ -21,19 +21,16 @@ from scipy.interpolate import CubicSpline, make_lsq_spline
 from scipy.linalg import eigvals
 from scipy.optimize import brentq
 
-from onebend.beam.continuation import equilibrium
-from onebend.beam.loads import push, weight
-from onebend.beam.model import Beam
+from onebend.beam import continuation, loads, model, statics
 from onebend.beam.problem import Resolution, make_problem
 from onebend.beam.section import SectionProfiles, rectangular_bar
-from onebend.beam.statics import found_near, tangent
 from onebend.beam.stiffness import Polyline, Powers, Profile, Steps, Table, UncertainStiffness, Uniform
 from onebend.beam.vibration import vibration
 from onebend.errors import MechanicsError, ResultsError
 from onebend.files.single_file import write_file
 from onebend.learning.outcome import Notice
 from onebend.progress import one_blas_thread
-from onebend.recording.schema import Check, Mistakes, key, keys_of, number, one_of, read_table, report_unknown
+from onebend.recording.schema import Mistakes, key, keys_of, number, one_of, read_table, report_unknown, several
 from onebend.records import Array
 from onebend.text_files import read_toml
 
@@ -124,9 +121,9 @@ class Design:
     def bending(self, s: Array | float) -> Array:
         return np.asarray(self.modulus * self.depth * np.asarray(self.width(s)) ** 3 / 12.0)
 
-    def beam(self) -> Beam:
+    def beam(self) -> model.Beam:
         """The beam with its mass, straight at rest."""
-        return Beam(self.length, self.along.stiffness, mass_per_length=self.along.mass_per_length)
+        return model.Beam(self.length, self.along.stiffness, mass_per_length=self.along.mass_per_length)
 
     def uncertain(self) -> UncertainStiffness:
         """k(s) with the band of the modulus alone: one common scale."""
@@ -180,18 +177,6 @@ FORMAT = 1
 TABLES = ("beam", "width", "material")
 
 
-def _numbers(least: int, item: Check) -> Check:
-    def check(value: Any) -> tuple[float, ...]:
-        if not isinstance(value, list) or len(value) < least:
-            raise ValueError(f"a list of at least {least} numbers")
-        try:
-            return tuple(float(item(entry)) for entry in value)
-        except ValueError as wrong:
-            raise ValueError(f"a list in which each entry is {wrong}") from None
-
-    return check
-
-
 @dataclass(frozen=True)
 class SizeEntry:
     """[beam]: outer sizes."""
@@ -205,13 +190,13 @@ class WidthEntry:
     """[width]: the size in the plane of bending, a polynomial or a table."""
 
     polynomial: tuple[float, ...] = key(
-        "polynomial_m = [0.010, 0.010]", _numbers(1, number()), "the width's coefficients of s^0, s^1, ..., m", ()
+        "polynomial_m = [0.010, 0.010]", several(number(), least=1), "the width's coefficients of s^0, s^1, ..., m", ()
     )
     s: tuple[float, ...] = key(
-        "s = [0.0, 0.5, 1.0]", _numbers(2, number(least=0, most=1)), "places from 0 (clamp) to 1 (tip)", ()
+        "s = [0.0, 0.5, 1.0]", several(number(least=0, most=1), least=2), "places from 0 (clamp) to 1 (tip)", ()
     )
     width: tuple[float, ...] = key(
-        "width_m = [0.02, 0.01, 0.02]", _numbers(2, number(above=0)), "the width at each place of s, m", ()
+        "width_m = [0.02, 0.01, 0.02]", several(number(above=0), least=2), "the width at each place of s, m", ()
     )
     between: Literal["smooth", "straight"] = key(
         'between = "smooth"',
@@ -407,7 +392,7 @@ class Expected:
 def expect(design: Design, turns_deg: tuple[float, ...] = TURNS_DEG) -> Expected:
     """Raises `MechanicsError`: no equilibrium found."""
     beam = design.beam()
-    still = equilibrium(beam, push((0.0, 0.0)), resolution=FINE)
+    still = continuation.equilibrium(beam, loads.push((0.0, 0.0)), resolution=FINE)
     slowest = vibration(beam, still, rotary_inertia=design.along.rotary_inertia, count=2).frequency
     return Expected(
         design=design,
@@ -446,42 +431,42 @@ def bend(design: Design, turn: float) -> TipBend:
         raise MechanicsError(f"no force on the tip of {design.name!r} turns it by {math.degrees(turn):.0f} degrees")
     closer = np.linspace(tried[enough[0] - 1], tried[enough[0]], TRIED)
     force = float(brentq(CubicSpline(closer, short_of(closer)), closer[0], closer[-1]))
-    problem = make_problem(beam, push((-force * math.sin(turn), force * math.cos(turn))), FINE)
+    problem = make_problem(beam, loads.push((-force * math.sin(turn), force * math.cos(turn))), FINE)
     nodes = problem.grid.nodes
     q = from_the_tip(np.array([force]), nodes[::-1])[1, 0, ::-1] / problem.k
-    solved = found_near(problem, q[None], np.ones(1, dtype=bool))
+    solved = statics.found_near(problem, q[None], np.ones(1, dtype=bool))
     strain = 0.5 * np.asarray(design.width(nodes)) * np.abs(solved.q[0]) / design.length
     return TipBend(turn, force, np.asarray(solved.xy(np.array([1.0]))[0, 0]), float(np.max(strain)))
 
 
-def _compliance(beam: Beam, power: int) -> float:
+def _compliance(beam: model.Beam, power: int) -> float:
     """Tip deflection (power 2, m/N) or rotation (1, rad/N) per small transverse force: `int (L (1 - s))^p / k ds`."""
-    grid = make_problem(beam, push((0.0, 0.0)), FINE).grid
+    grid = make_problem(beam, loads.push((0.0, 0.0)), FINE).grid
     arm = (1.0 - grid.nodes) ** power
     return float(beam.length**power * np.sum(grid.weights * arm / beam.stiffness(grid.nodes)))
 
 
-def buckling_force(beam: Beam) -> float:
+def buckling_force(beam: model.Beam) -> float:
     """N: the least axial force on the tip that makes the straight beam unstable.
 
     The tangent of the straight shape is affine in the force, so the root is an eigenvalue.
     """
-    problem = make_problem(beam, push((-1.0, 0.0)), FINE)
-    free, pushed = (tangent(problem, np.zeros((1, problem.k.shape[-1])), factor)[0] for factor in (0.0, 1.0))
+    problem = make_problem(beam, loads.push((-1.0, 0.0)), FINE)
+    free, pushed = (statics.tangent(problem, np.zeros((1, problem.k.shape[-1])), factor)[0] for factor in (0.0, 1.0))
     softened = eigvals(np.linalg.solve(free, free - pushed)).real
     return float(1.0 / np.max(softened))
 
 
-def across_depth(design: Design) -> Beam:
+def across_depth(design: Design) -> model.Beam:
     """The same bar, bending across its depth."""
     turned = rectangular_bar(
         design.width, Uniform(design.depth), length=design.length, modulus=design.modulus, density=design.density
     )
-    return Beam(design.length, turned.stiffness, mass_per_length=turned.mass_per_length)
+    return model.Beam(design.length, turned.stiffness, mass_per_length=turned.mass_per_length)
 
 
-def _lowered(beam: Beam) -> float:
-    solved = equilibrium(beam, weight((0.0, -GRAVITY)), resolution=FINE)
+def _lowered(beam: model.Beam) -> float:
+    solved = continuation.equilibrium(beam, loads.weight((0.0, -GRAVITY)), resolution=FINE)
     return float(solved.xy(np.array([1.0]))[0, 0, 1]) if solved.converged[0] else math.nan
 
 
@@ -524,7 +509,7 @@ def smooth_log(s: Array, rng: np.random.Generator) -> Array:
 
 
 @one_blas_thread
-def force_that_bends(beam: Beam, bend: float, direction: float, at_s: float = 1.0) -> float:
+def force_that_bends(beam: model.Beam, bend: float, direction: float, at_s: float = 1.0) -> float:
     """N: the force at angle `direction` [rad] that turns its place by `bend` [rad].
 
     If the beam would snap through first: nine tenths of the largest force on this branch.
@@ -534,7 +519,7 @@ def force_that_bends(beam: Beam, bend: float, direction: float, at_s: float = 1.
     last, turned = 0.0, 0.0
     sizes = 0.2 * bend * softest / (beam.length * at_s**2) * FORCE_GROWTH ** np.arange(BATCH)
     for _ in range(MOST_BATCHES):
-        solved = equilibrium(beam, push(sizes[:, None] * unit, at_s), resolution=RESOLUTION)
+        solved = continuation.equilibrium(beam, loads.push(sizes[:, None] * unit, at_s), resolution=RESOLUTION)
         for size, stands, shape in zip(sizes, solved.converged, solved.angle(np.array([0.0, at_s])), strict=True):
             if not stands:
                 return 0.9 * last

@@ -28,12 +28,9 @@ from onebend.lab import rendering, virtual
 from onebend.lab.bench import PushProfile, RealBench, log_of, rest_curvature, smooth, turned
 from onebend.lab.rod import RodMotion
 from onebend.progress import Progress, Silent, one_blas_thread, track
-from onebend.recording.bag_topics import BAG_KEYS
+from onebend.recording import bag_topics, plane, schema, tag_finder
 from onebend.recording.entries import FAMILIES, BeamEntry, ForceEntry, GravityEntry, MarkersEntry, Recording
 from onebend.recording.folder import FILE_NAME, FORMAT
-from onebend.recording.plane import project
-from onebend.recording.schema import Key, keys_of
-from onebend.recording.tag_finder import printed_tag
 from onebend.records import Array, ForceLog, View
 from onebend.text_files import plain
 
@@ -181,7 +178,7 @@ class TagOutlines:
 def outlines(tag_id: int, family: str = FAMILIES[0], margin: float = 1.0) -> TagOutlines:
     """Outlines on paper at least `margin` cells wider per side than the detected square. Raises `RecordingError`:
     unknown family or id."""
-    tag = printed_tag(tag_id, family)
+    tag = tag_finder.printed_tag(tag_id, family)
     count = len(tag.cells)
     beyond = max(margin - tag.margin, 0.0)
     scale, middle = np.array([1.0, -1.0]) / tag.border, 0.5 * count
@@ -364,8 +361,8 @@ def table(header: str, entry: Any) -> str:
     """One table with its known keys; those of bags only for a bag."""
     lines = [header]
     bagged = bool(getattr(entry, "topic", ""))
-    for name, (key, _) in keys_of(type(entry)).items():
-        if key.name in BAG_KEYS and not bagged:
+    for name, (key, _) in schema.keys_of(type(entry)).items():
+        if key.name in bag_topics.BAG_KEYS and not bagged:
             continue
         value = getattr(entry, name)
         unknown = value is None or value == "" or (isinstance(value, float) and not math.isfinite(value))
@@ -374,7 +371,7 @@ def table(header: str, entry: Any) -> str:
     return "\n".join(lines) + "\n"
 
 
-def as_toml(value: Any, key: Key) -> str:
+def as_toml(value: Any, key: schema.Key) -> str:
     """In the file's units."""
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -409,18 +406,13 @@ def write_video(
             stream.codec_context.time_base = TIME_BASE
             stream.options = {"crf": str(crf), "preset": PRESET, "threads": "1"}
             for time, picture in frames:
-                frame = video_frame(picture)
+                planes = np.concatenate([plane.ravel() for plane in picture.planes]).reshape(-1, size[0])
+                frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
                 frame.pts, frame.time_base = round(time / TIME_BASE), TIME_BASE
                 container.mux(stream.encode(frame))
             container.mux(stream.encode(None))
     except av.error.FFmpegError as wrong:
         raise RecordingError(f"{path} cannot be encoded as H.264: {wrong.strerror}") from None
-
-
-def video_frame(picture: rendering.Picture) -> av.VideoFrame:
-    rows, columns = picture.y.shape
-    stacked = np.concatenate([picture.y.ravel(), picture.u.ravel(), picture.v.ravel()])
-    return av.VideoFrame.from_ndarray(stacked.reshape(rows * 3 // 2, columns), format="yuv420p")
 
 
 WAVES = 24  # of a shake, per axis
@@ -741,7 +733,7 @@ def pictures(shot: Shot, time: Array, rng: np.random.Generator) -> Iterator[tupl
 def moments_of(shot: Shot) -> list[float]:
     """Moments of one exposure that are drawn, -1 at its begin and 1 at its end."""
     tags, beam = shot.at_rows[0].tags, shot.at_rows[0].beam
-    ends = project(shot.staged.view, np.concatenate([tags[[0, 2], :, :2], beam[[0, 2], ::30, :2]], axis=1))
+    ends = plane.project(shot.staged.view, np.concatenate([tags[[0, 2], :, :2], beam[[0, 2], ::30, :2]], axis=1))
     moved = float(np.max(np.abs(ends[1] - ends[0])))
     count = int(np.clip(np.ceil(moved / STEPS), 1, MOST_MOMENTS))
     return [(2.0 * i + 1.0) / count - 1.0 for i in range(count)]

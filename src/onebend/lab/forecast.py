@@ -25,11 +25,8 @@ from onebend.lab.designs import find_design
 from onebend.lab.random_bench import SENSORS, SWINGING, FilmRequest, SensorName, camera_of, push_of
 from onebend.lab.rendering import Camera, check_name, view_from
 from onebend.lab.virtual import LOG_BEFORE, VirtualBench, VirtualTag, tag_poses
-from onebend.learning import design as planning
+from onebend.learning import design as planning, normal, optimizer, parameters
 from onebend.learning.instruments import ForceDoubt, Instruments, PlannedPush
-from onebend.learning.normal import Draws, InformationForm, stiffness_mixture
-from onebend.learning.optimizer import FitSettings
-from onebend.learning.parameters import Spline
 from onebend.options import NOT_NEGATIVE, option
 from onebend.progress import Progress, Silent, one_blas_thread, track
 from onebend.recording.beam_frame import MOUNTING_SD
@@ -235,7 +232,7 @@ def tag_noise(camera: Camera, setup: Setup) -> TagNoise:
 # found from the data has an sd by a rule of thumb, good to a factor of two for pushes of 4 to 13 s: a share of the
 # push's duration, proportional to the relative force error plus 3 % for the misfit of a linear relation (docs/plan.md).
 
-FUNCTIONS = FitSettings.functions  # of log k
+FUNCTIONS = optimizer.FitSettings.functions  # of log k
 MOST_FRAMES = 200  # per push, for prediction and fit
 _CUTOFF_CYCLES = 11.0  # over the seconds of contact, Hz: the usual choice for a smooth push
 _LEAST_WALK = 1.5e-3  # of the peak, N / sqrt(s): the fit assumes no better log
@@ -322,9 +319,9 @@ def _seconds(push: PushProfile) -> float:
     return end - begin
 
 
-SPLINE = Spline(FUNCTIONS)
+SPLINE = parameters.Spline(FUNCTIONS)
 BASIS = SPLINE.basis(planning.PLACES)
-_DRAWS = Draws(chains=36, burn=150, kept=100)  # of the prior's sizes: the band's sd is good to about 3 %
+_DRAWS = normal.Draws(chains=36, burn=150, kept=100)  # of the prior's sizes: the band's sd is good to about 3 %
 
 
 @dataclass(frozen=True)
@@ -356,8 +353,8 @@ def predict(setup: Setup) -> PredictedBand:
     information = information_of(setup, instruments(setup))
     k = np.asarray(setup.beam.stiffness(planning.PLACES))
     truth = np.linalg.lstsq(BASIS, np.log(k), rcond=None)[0]
-    posterior = stiffness_mixture(
-        SPLINE, [InformationForm(information, information @ truth)], float(np.mean(np.log(k))), _DRAWS
+    posterior = normal.stiffness_mixture(
+        SPLINE, [normal.InformationForm(information, information @ truth)], float(np.mean(np.log(k))), _DRAWS
     )
     prior = equivalent_prior(posterior.covariance, information)
     bias = np.asarray(BASIS @ (posterior.mean - truth))

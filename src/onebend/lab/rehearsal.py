@@ -15,7 +15,7 @@ from onebend.files.publish import headed
 from onebend.lab import forecast
 from onebend.learning.design import PLACES
 from onebend.progress import Progress, Silent, one_blas_thread
-from onebend.records import Array, BoolArray
+from onebend.records import Array
 from onebend.report.sentences import direction_words
 from onebend.report.style import BLUE, FAINT, INK, ORANGE, blank, styled
 from onebend.results.tables import write_csv
@@ -67,7 +67,7 @@ def rehearsal_figure(rehearsal: Rehearsal) -> Figure:
     """k(s) with the predicted band, and the size of the error."""
     figure, (stiffness, error) = blank(6.4, rows=2, sharex=True)
     p = rehearsal.predicted
-    known = _best_known(p)
+    known = p.identified if np.any(p.identified) else p.sd <= np.quantile(p.sd, 0.25)  # they set the axes
     wide, ninety = np.exp(half_width(p.sd)), _percent(NINETY * p.error)
     stiffness.fill_between(PLACES, p.k / wide, p.k * wide, color=BLUE, alpha=0.2, linewidth=0.0, label="95 % band")
     stiffness.plot(PLACES, p.k, color=INK, label="k(s), true")
@@ -88,12 +88,6 @@ def rehearsal_figure(rehearsal: Rehearsal) -> Figure:
         axes.set(xlim=(0.0, 1.0))
         axes.legend(ncols=2, loc="upper left")
     return figure
-
-
-def _best_known(predicted: forecast.PredictedBand) -> BoolArray:
-    """(S,) the places that set the axes: where k is known, or else its best quarter."""
-    known = predicted.identified
-    return np.asarray(known if np.any(known) else predicted.sd <= np.quantile(predicted.sd, 0.25))
 
 
 def _percent(log_error: Array) -> Array:

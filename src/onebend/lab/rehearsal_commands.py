@@ -21,19 +21,9 @@ from onebend.cli.models import SetUpOptions, gravity_on, read_trusted, warn_beyo
 from onebend.control import loop_simulation
 from onebend.control.loop import controller
 from onebend.errors import RecordingError
+from onebend.lab import rehearsal as rehearsals
 from onebend.lab.forecast import Tolerances, known_beam, setup_of
 from onebend.lab.random_bench import FilmRequest
-from onebend.lab.rehearsal import (
-    MEDIAN,
-    NINETY,
-    REHEARSE_FORMAT,
-    Rehearsal,
-    rehearsal_figure,
-    rehearse as make_rehearsal,
-    setup_words,
-    summary_of,
-    write_table,
-)
 from onebend.learning.design import PLACES
 from onebend.options import POSITIVE, Only, option
 from onebend.report.pictures import draw
@@ -106,8 +96,8 @@ def loop(
 EVERY = 10  # of the 101 places
 
 
-def show_rehearsal(console: Console, rehearsal: Rehearsal) -> None:
-    console.print(f"[bold]{escape(setup_words(rehearsal.setup))}[/]")
+def show_rehearsal(console: Console, rehearsal: rehearsals.Rehearsal) -> None:
+    console.print(f"[bold]{escape(rehearsals.setup_words(rehearsal.setup))}[/]")
     console.print(say("would be known", quality=rehearsal.predicted.quality))
     console.print(errors_table(rehearsal))
     console.print()
@@ -117,19 +107,19 @@ def show_rehearsal(console: Console, rehearsal: Rehearsal) -> None:
         console.print("No change helps much.")
 
 
-def errors_table(rehearsal: Rehearsal) -> Table:
+def errors_table(rehearsal: rehearsals.Rehearsal) -> Table:
     p = rehearsal.predicted
     title = "Error of k [%]: median, and nine in ten are below"
     title += "" if np.all(p.identified) else " (*: not identified)"
     table = common.listing(title, "s", "k [N m]", "median", "9 in 10")
     for i in range(0, len(PLACES), EVERY):
         place = f"{PLACES[i]:.1f}{' ' if p.identified[i] else '*'}"
-        errors = _percent(MEDIAN * p.error[i]), _percent(NINETY * p.error[i])
+        errors = _percent(rehearsals.MEDIAN * p.error[i]), _percent(rehearsals.NINETY * p.error[i])
         table.add_row(place, significant(float(p.k[i])), *errors)
     return table
 
 
-def advice_table(rehearsal: Rehearsal) -> Table:
+def advice_table(rehearsal: rehearsals.Rehearsal) -> Table:
     title = "Changes, by how much each narrows the band"
     table = common.listing(title, "", "<change", "k(s) then", "removes")
     for i, change in enumerate(rehearsal.advice, 1):
@@ -193,15 +183,20 @@ def rehearse(
             tags=places_of(asked.tags),
             known_to=known_to,
         )
-        with common.place_for(output, REHEARSE_FORMAT, overwrite) as place, common.progress_of(quiet) as progress:
+        with (
+            common.place_for(output, rehearsals.REHEARSE_FORMAT, overwrite) as place,
+            common.progress_of(quiet) as progress,
+        ):
             inputs = () if place is None else inputs_of([Path(design)])
-            found = make_rehearsal(setup, count=asked.count, progress=progress)
+            found = rehearsals.rehearse(setup, count=asked.count, progress=progress)
             if place is not None:
-                pictures = draw({"rehearsal": partial(rehearsal_figure, found)})
-                summary = summary_of(found)
-                common.put_results(place, summary, partial(write_table, rehearsal=found), pictures, inputs=inputs)
+                pictures = draw({"rehearsal": partial(rehearsals.rehearsal_figure, found)})
+                summary = rehearsals.summary_of(found)
+                common.put_results(
+                    place, summary, partial(rehearsals.write_table, rehearsal=found), pictures, inputs=inputs
+                )
     if as_json:
-        common.print_json(summary_of(found))
+        common.print_json(rehearsals.summary_of(found))
         return
     show_rehearsal(common.screen(), found)
     if output is not None:

@@ -18,7 +18,7 @@ from onebend.beam.stiffness import Profile, RectangularSection, Uniform
 from onebend.errors import LearningError
 from onebend.learning.frames import push_places
 from onebend.recording.plane import HEIGHT_SD, camera_place
-from onebend.records import Array, BoolArray, Observations, PointMass, View, tags_among
+from onebend.records import Array, BoolArray, Observations, PointMass, View, left_of, tags_among, unit
 
 # Where an allowance enters the model, and what its `basis` is there. F frames, Q nodes, m tags, n parameters:
 #   "log k"       (Q, n) or (F, Q, n): added to log k at the nodes
@@ -215,7 +215,7 @@ def rubbing(course: PushCourse) -> Allowance | None:
     if not course.pushed or course.friction_sd == 0.0:
         return None
     turn = course.turn_at_push
-    along = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    along = unit(turn)
     across = course.force[:, 1] * along[:, 0] - course.force[:, 0] * along[:, 1]
     sd, basis = np.array([course.friction_sd]), (across[:, None] * along)[..., None]
     return Allowance("rub", "force", "1", ("friction of the tool",), sd, basis, sizes=RARE)
@@ -320,9 +320,8 @@ def gravity_direction(course: PushCourse) -> Allowance | None:
     nodes, stated, gravity = film.problem.grid.nodes, film.observations.stated, film.gravity
     beyond = weight_beyond(film.problem, np.asarray(film.line(nodes))[..., None], gravity)[..., 0]
     beyond = beyond + riding_beyond(nodes, stated.masses)[..., None] * gravity[:, None, :]
-    turned = np.stack([-beyond[..., 1], beyond[..., 0]], axis=-1)
-    sd = np.array([stated.gravity_sd])
-    return Allowance("gravity direction", "load", "rad", ("gravity's direction",), sd, turned[..., None])
+    sd, turned = np.array([stated.gravity_sd]), left_of(beyond)[..., None]
+    return Allowance("gravity direction", "load", "rad", ("gravity's direction",), sd, turned)
 
 
 def weight_beyond(problem: Problem, line: Array, gravity: Array) -> Array:
@@ -476,30 +475,32 @@ def outline_height(observations: Observations, measured: Array) -> Allowance | N
     """Of an outline [m], at the clamp and at the tip: over the tags beside it, for that of a round body lies below, or
     over the plane of the base. `measured` (F, m, 3) poses. None without an outline in a film."""
     s, tags = observations.marker_s, tags_among(observations)
-    if tags.all() or observations.source.view is None:
+    view = observations.source.view
+    if tags.all() or view is None:
         return None
-    basis = _lifted(observations, measured, np.column_stack([1.0 - s, s]) * ~tags[:, None])
+    basis = _lifted(view, measured, np.column_stack([1.0 - s, s]) * ~tags[:, None])
     labels, sd = ("height of the outline at the clamp", "height of the outline at the tip"), np.full(2, HEIGHT_SD)
     free = Allowance("outline height", "poses", "m", labels, sd, basis, shared=True, sizes=RARE)
     return free if tags.any() else replace(free, sizes=TOLERATED, together=True)
 
 
-def _lifted(observations: Observations, measured: Array, functions: Array) -> Array:
+def _lifted(view: View, measured: Array, functions: Array) -> Array:
     """(F, m, 3, n): what heights, by these functions (m, n), do to poses (F, m, 3)."""
-    foot, distance = camera_place(_view(observations))
+    foot, distance = camera_place(view)
     away = np.nan_to_num(measured[..., :2] - foot) / distance
     basis = np.zeros((*measured.shape, functions.shape[1]))
     basis[:, :, :2] = away[..., None] * functions[:, None, :]
     return basis
 
 
-def camera(observations: Observations, frames: BoolArray, count: int) -> Allowance:
+def camera(observations: Observations, frames: BoolArray, count: int) -> Allowance | None:
     """The unknowns of the camera and of the tags' plane, in sds; `count` frames, those at rest last.
 
     The frame is fixed to the base tag and to the tags at rest: their turn is subtracted.
     """
     o = observations
-    assert o.by_camera is not None
+    if o.by_camera is None:
+        return None
     bare = ~o.loaded & np.all(np.isfinite(o.xy), axis=(1, 2))
     rest = np.where(np.isfinite(o.rest_xy), o.rest_xy, 0.0)
     at_rest = o.by_camera[bare].mean(axis=0) if bare.any() else np.zeros(o.by_camera.shape[1:])
@@ -518,15 +519,17 @@ def _less_turn(moved: Array, xy: Array, turn: Array) -> Array:
     return np.asarray(moved - turned[..., None] * turn)
 
 
-def rolling_shutter(observations: Observations, frames: BoolArray, count: int) -> Allowance:
+def rolling_shutter(observations: Observations, frames: BoolArray, count: int) -> Allowance | None:
     """The read-out time [s] of a picture, first row to last: rows, and the corners of a tag, are seen at different
     instants, so moving tags are shifted and turned (half the curl). The principal point is assumed in the middle;
     `count` frames, those at rest last."""
-    o = observations
+    o, view = observations, observations.source.view
+    if view is None or not view.matrix[1, 2] > 0.0:  # the picture's rows are not known
+        return None
     pose = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
     moved = filled(pose - np.nan_to_num(np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=-1)))
     speed = np.gradient(moved, o.time, axis=0) if len(o.time) > 1 else np.zeros_like(pose)
-    xy, late = np.nan_to_num(o.xy), _row(_view(o))
+    xy, late = np.nan_to_num(o.xy), _row(view)
     shift = speed * late(xy)[..., None]
     by_x, by_y = (late(xy + step) - late(xy - step) for step in _STEP * np.eye(2))
     shift[..., 2] += (speed[..., 1] * by_x - speed[..., 0] * by_y) / (4.0 * _STEP)
@@ -542,11 +545,6 @@ def _row(view: View) -> Callable[[Array], Array]:
         return np.asarray(view.matrix[1, 1] * seen[..., 1] / seen[..., 2] / (2.0 * view.matrix[1, 2]))
 
     return row
-
-
-def _view(observations: Observations) -> View:
-    assert observations.source.view is not None
-    return observations.source.view
 
 
 POSTURE_SD = 0.02  # of the largest force, each axis at the largest displacement; of the linear part no size is told
@@ -733,21 +731,6 @@ def _of_film(of: Callable[[Film], Allowance | None]) -> Callable[[PushCourse], A
     return lambda course: None if course.film is None else of(course.film)
 
 
-def _height(film: Film) -> Allowance | None:
-    return outline_height(film.observations, film.measured)
-
-
-def _rows(film: Film) -> Allowance | None:
-    view = film.observations.source.view
-    known = view is not None and bool(view.matrix[1, 2] > 0.0)  # the picture's rows
-    return rolling_shutter(film.observations, film.frames, len(film.measured)) if known else None
-
-
-def _camera(film: Film) -> Allowance | None:
-    o = film.observations
-    return None if o.by_camera is None else camera(o, film.frames, len(film.measured))
-
-
 @dataclass(frozen=True)
 class Effect:
     """What a real beam or bench may do: an entry of the list that the fit, the live learner and the reports read."""
@@ -771,9 +754,11 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(
         "slide": Effect("sliding contact", sliding),
         "rub": Effect("friction of the tool", rubbing, live=False),
         "posture": Effect("posture-dependent bias", posture_bias),
-        "outline height": Effect("outline", _of_film(_height), live=False),
-        "rolling shutter": Effect("camera", _of_film(_rows), live=False),
-        "camera": Effect("camera", _of_film(_camera), live=False),
+        "outline height": Effect("outline", _of_film(lambda f: outline_height(f.observations, f.measured)), live=False),
+        "rolling shutter": Effect(
+            "camera", _of_film(lambda f: rolling_shutter(f.observations, f.frames, len(f.measured))), live=False
+        ),
+        "camera": Effect("camera", _of_film(lambda f: camera(f.observations, f.frames, len(f.measured))), live=False),
         "inertia": Effect("inertia", unknown_mass, live=False),
         "gravity direction": Effect("direction of gravity", gravity_direction, live=False),
     }

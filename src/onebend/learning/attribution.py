@@ -16,15 +16,10 @@ import numpy as np
 
 from onebend.beam.section import modulus_band
 from onebend.beam.stiffness import UncertainStiffness
-from onebend.learning.allowances import LEFT, NO_THICKNESS
-from onebend.learning.criticism import Criticism
-from onebend.learning.fit_data import FitData
-from onebend.learning.frames import marker_rms
+from onebend.learning import allowances, criticism, fit_data, frames, parameters, prediction
 from onebend.learning.linear import FitProblem, log_k_map
 from onebend.learning.optimizer import Optimum
 from onebend.learning.outcome import SOFTEST, STIFFEST, shown_places, stated_section
-from onebend.learning.parameters import Block, groups
-from onebend.learning.prediction import predict, secant_of
 from onebend.records import POINT_ID, Array, IntArray
 
 # What in a recording contradicts its description or the fit's model, and by how much k(s) may be off for it.
@@ -65,7 +60,7 @@ class Contradiction:
 
 
 def contradictions(
-    problem: FitProblem, optimum: Optimum, critic: Criticism, known: UncertainStiffness
+    problem: FitProblem, optimum: Optimum, critic: criticism.Criticism, known: UncertainStiffness
 ) -> tuple[Contradiction, ...]:
     """All of a fit, the largest first; `known`: k(s) with its band."""
     sd = _typical_sd(known)
@@ -98,12 +93,12 @@ def _typical_sd(known: UncertainStiffness) -> float:
     return float(np.median(sd[identified] if np.any(identified) else sd))
 
 
-def _named(critic: Criticism) -> str:
+def _named(critic: criticism.Criticism) -> str:
     name = critic.causes[0].score.suspect.name if critic.causes else "the model"
     return _STATED.get(name, name)
 
 
-def _explained(critic: Criticism) -> bool:
+def _explained(critic: criticism.Criticism) -> bool:
     """Whether what stands out is a cause that makes the log predict other shapes."""
     return any(one.score.suspect.name in _OF_THE_FORCE for one in critic.causes)
 
@@ -117,9 +112,9 @@ def _of_the_log(problem: FitProblem, optimum: Optimum) -> float:
             continue
         x = optimum.x.copy()
         x[problem.layout.index["force", data.number].where] = 0.0
-        off = data.off(predict(data, problem.layout, x, now.solved.q).pose)
+        off = data.off(prediction.predict(data, problem.layout, x, now.solved.q).pose)
         motion = _motion(data)
-        missed = np.nan_to_num(marker_rms(off[..., :2]))  # nothing of a tag that was never seen
+        missed = np.nan_to_num(frames.marker_rms(off[..., :2]))  # nothing of a tag that was never seen
         shares.append(float(np.max(missed / np.maximum(motion, _LITTLE * np.max(motion)))))
     return max(shares)
 
@@ -130,13 +125,13 @@ def _of_the_axes(problem: FitProblem) -> float:
     return max((remark.share for remark in remarks), default=0.0)
 
 
-def _motion(data: FitData) -> Array:
+def _motion(data: fit_data.FitData) -> Array:
     """(m,) m, how far each tag moves."""
     xy = data.measured[..., :2]
     return np.asarray(np.linalg.norm(np.fmax.reduce(xy) - np.fmin.reduce(xy), axis=-1))
 
 
-def _of_the_rest(data: FitData) -> float:
+def _of_the_rest(data: fit_data.FitData) -> float:
     """Relative change of k if lengths in the pictures are as wrong as the tags at rest show."""
     o = data.observations
     if o.static:
@@ -158,7 +153,7 @@ def _of_the_modulus(problem: FitProblem, known: UncertainStiffness) -> float:
 
 
 FORCE_SCALE = "force's scale"
-GROUPS = groups()  # blocks of the layout, by the common name of their cause
+GROUPS = parameters.groups()  # blocks of the layout, by the common name of their cause
 # Unknown on every bench, and so no allowance for a bench that is not ideal.
 _OF_EVERY_BENCH = (
     "error of the force log",
@@ -168,9 +163,7 @@ _OF_EVERY_BENCH = (
     "direction of the force",
 )
 WIDENS = 1.1  # the band, at least
-_MUCH = float(
-    np.sqrt(1.0 - 1.0 / WIDENS**2)
-)  # of the sd of log k: the change to be expected of what widens it by so much
+_MUCH = float(np.sqrt(1.0 - 1.0 / WIDENS**2))  # of the sd of log k: the change to be expected of what widens it so
 SHIFTS, _SURE = 0.02, 2.0  # log k, at least, by something that is so many sd from nothing
 _LEAST_LEFT = 1e-4  # of the variance: what is left at least
 
@@ -257,7 +250,7 @@ def _attribution(
     return Attribution(name, widening, float(np.sqrt(square)), sds, size, float(np.sqrt(whole)))
 
 
-def _away(problem: FitProblem, optimum: Optimum, blocks: list[Block]) -> tuple[list[IntArray], list[Array]]:
+def _away(problem: FitProblem, optimum: Optimum, blocks: list[parameters.Block]) -> tuple[list[IntArray], list[Array]]:
     """Where blocks stand in the parts of the parameters, and how far they are from the ideal bench's."""
     index: list[IntArray] = [np.zeros(0, dtype=np.int64) for _ in problem.layout.parts]
     away = [np.zeros(0) for _ in problem.layout.parts]
@@ -270,21 +263,21 @@ def _away(problem: FitProblem, optimum: Optimum, blocks: list[Block]) -> tuple[l
 
 
 def _place(one: Attribution) -> tuple[bool, bool, float]:
-    return one.name in _OF_EVERY_BENCH, one.name == LEFT, -one.size
+    return one.name in _OF_EVERY_BENCH, one.name == allowances.LEFT, -one.size
 
 
 def _to_instantaneous(name: str, optimum: Optimum) -> float:
     """Log of the instantaneous stiffness over k(s), the secant stiffness: what relaxation itself makes of k(s)."""
     if name != "relaxation" or not optimum.predictions:
         return 0.0
-    shares = [secant_of(p) for p in optimum.predictions]
+    shares = [prediction.secant_of(p) for p in optimum.predictions]
     return float(-np.mean(np.log(shares)))
 
 
-def _ideal(problem: FitProblem, block: Block) -> Array:
+def _ideal(problem: FitProblem, block: parameters.Block) -> Array:
     """(n,) parameters of the ideal bench. What the rests say of the force log's error is known without the fit."""
     if block.name == "force":
         return np.asarray(problem.recordings[block.recording].error.mean.ravel())
     if block.name == "section":
-        return np.full(len(block.prior_sd), NO_THICKNESS)
+        return np.full(len(block.prior_sd), allowances.NO_THICKNESS)
     return np.zeros(len(block.prior_sd))

@@ -13,16 +13,11 @@ from onebend.beam.grid import apply
 from onebend.beam.sensitivity import Perturbation, of_clamp_angle, of_rest_curvature, of_stiffness
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import UncertainStiffness
-from onebend.learning import linear
-from onebend.learning.fit_data import REST_MODES, FitData
+from onebend.learning import fit_data, linear, normal, optimizer, parameters, prediction
 from onebend.learning.frames import unwhitened, whitened
-from onebend.learning.normal import JointCovariance
-from onebend.learning.optimizer import Optimum
-from onebend.learning.parameters import Layout
-from onebend.learning.prediction import Prediction, along_and_across, place_responses, push_moment, response_columns
 from onebend.progress import each
 from onebend.recording.signals import correlation_time
-from onebend.records import Array, IntArray
+from onebend.records import Array, IntArray, left_of, unit
 
 # Alternatives to the fit's model: a few numbers b that the model takes to be zero. They move the tags by `D b`, with D
 # from the derivatives of the equilibrium at the optimum.
@@ -81,7 +76,7 @@ class Course:
     resting: Array  # (F,) 1 for the frame at rest
 
 
-def course(data: FitData, now: Prediction) -> Course:
+def course(data: fit_data.FitData, now: prediction.Prediction) -> Course:
     """From the fitted shapes and the frames' times."""
     time = data.observations.time[data.frames]
     frames, count = len(time), len(now.pose)
@@ -97,7 +92,7 @@ def course(data: FitData, now: Prediction) -> Course:
     return Course(bend, after, past, resting)
 
 
-def alternatives(data: FitData, layout: Layout, now: Prediction) -> list[Alternative]:
+def alternatives(data: fit_data.FitData, layout: parameters.Layout, now: prediction.Prediction) -> list[Alternative]:
     """All that are tested on one film."""
     run, patterns = course(data, now), mechanics(now)
     pliant = patterns["clamp"] * _clamp_moment(now.solved)[:, None, None, None]
@@ -119,19 +114,19 @@ def alternatives(data: FitData, layout: Layout, now: Prediction) -> list[Alterna
     return [*stated, *stiff, *_changes(data, run, patterns), *_trends(data, run)]
 
 
-def mechanics(now: Prediction) -> dict[str, Array]:
+def mechanics(now: prediction.Prediction) -> dict[str, Array]:
     """(F, m, 3, n) per unit of what `UNITS` names, and of the clamp's angle ("clamp")."""
     carried, ride = _carried(now), now.riding
     patterns = {}
-    columns = response_columns(_entering(now.data, now))
-    for name, part in place_responses(now.solved, columns, now.s).items():
+    columns = prediction.response_columns(_entering(now.data, now))
+    for name, part in prediction.place_responses(now.solved, columns, now.s).items():
         if name in carried:
             part[:, :, :2] += carried[name][..., None]
         patterns[name] = ride.carry(part)
     return patterns
 
 
-def _entering(data: FitData, now: Prediction) -> dict[str, Perturbation]:
+def _entering(data: fit_data.FitData, now: prediction.Prediction) -> dict[str, Perturbation]:
     """Perturbations of the balance of moments. With N = (N_u, N_n) along and across, `M' = -L N_n`. A stretch e = N_u /
     (E A) makes it -L (1 + e) N_n, a shear g = N_n / (G A) adds L g N_u (Reissner's beam)."""
     solved, problem = now.solved, now.solved.problem
@@ -139,22 +134,21 @@ def _entering(data: FitData, now: Prediction) -> dict[str, Perturbation]:
     force = problem.dead_force
     product = (np.sum(force * u, axis=-1) * np.sum(force * n, axis=-1))[..., None] * n
     pushed = data.beyond[..., None] * now.force[:, None, :]
-    turned = np.stack([-pushed[..., 1], pushed[..., 0]], axis=-1)
-    along, across = along_and_across(now.force, solved.angle(data.push_s[:, None])[:, 0])
+    along, across = prediction.along_and_across(now.force, solved.angle(data.push_s[:, None])[:, 0])
     loaded = (np.arange(len(force)) < int(np.sum(data.frames))).astype(float)
     sag = (loaded[:, None] * (1.0 - problem.grid.nodes))[..., None, None] * np.eye(2)
     return {
         "stretch": _force(product),
         "shear": _force(-product),
         "length": _force(force),
-        "push place": push_moment(problem, data.push_s, float(problem.length) * across),
-        "push beside": push_moment(problem, data.push_s, -along),
-        "force direction": _force(turned),
+        "push place": prediction.push_moment(problem, data.push_s, float(problem.length) * across),
+        "push beside": prediction.push_moment(problem, data.push_s, -along),
+        "force direction": _force(left_of(pushed)),
         "axis scale": _force(pushed * np.array([1.0, -1.0])),
         "weight": Perturbation(sag, None, None, np.zeros(2)),
         "viscous": Perturbation(None, None, (_rate(data, solved), np.ones((force.shape[1], 1))), np.zeros(1)),
         "clamp": of_clamp_angle(problem),
-        "rest shape": of_rest_curvature(problem, REST_MODES.curvature(problem.grid.nodes)),
+        "rest shape": of_rest_curvature(problem, fit_data.REST_MODES.curvature(problem.grid.nodes)),
         "stiffness along": of_stiffness(solved, problem.k[..., None] * _along(problem.grid.nodes)),
     }
 
@@ -164,7 +158,7 @@ def _along(s: Array) -> Array:
     return np.asarray(np.polynomial.legendre.legvander(2.0 * s - 1.0, 3)[..., 1:])
 
 
-def _carried(now: Prediction) -> dict[str, Array]:
+def _carried(now: prediction.Prediction) -> dict[str, Array]:
     """(F, m, 2) m per unit that the tags move by without a turn of the beam: `r' = L (1 + e) u + L g n`."""
     solved, s = now.solved, now.s
     u, n = _tangents(solved)
@@ -187,7 +181,7 @@ def _clamp_moment(solved: Equilibrium) -> Array:
     return np.asarray(np.sum(problem.length * problem.weights * np.sum(problem.dead_force * n, axis=-1), axis=-1))
 
 
-def _changes(data: FitData, run: Course, patterns: dict[str, Array]) -> list[Alternative]:
+def _changes(data: fit_data.FitData, run: Course, patterns: dict[str, Array]) -> list[Alternative]:
     name = data.observations.source.name
     frames, tags = patterns["clamp"].shape[:2]
     place = np.zeros((frames, tags, 3, 2))
@@ -205,7 +199,7 @@ def _changes(data: FitData, run: Course, patterns: dict[str, Array]) -> list[Alt
     return out
 
 
-def _trends(data: FitData, run: Course) -> list[Alternative]:
+def _trends(data: fit_data.FitData, run: Course) -> list[Alternative]:
     side, ids = run.after - 0.5, data.observations.tag_id
     smooth = [run.bend, run.bend**2, run.bend * side, run.bend**2 * side, run.past]
     functions = np.stack(smooth, axis=1) * (1.0 - run.resting[:, None])
@@ -224,8 +218,8 @@ def _in_time(pattern: Array, run: Course) -> Array:
 
 def _tangents(solved: Equilibrium) -> tuple[Array, Array]:
     """(F, Q, 2) along and across the beam at the nodes."""
-    cos, sin = np.cos(solved.alpha), np.sin(solved.alpha)
-    return np.stack([cos, sin], axis=-1), np.stack([-sin, cos], axis=-1)
+    along = unit(solved.alpha)
+    return along, left_of(along)
 
 
 def _force(force: Array) -> Perturbation:
@@ -233,7 +227,7 @@ def _force(force: Array) -> Perturbation:
     return Perturbation(force[..., None], None, None, np.zeros(1))
 
 
-def _rate(data: FitData, solved: Equilibrium) -> Array:
+def _rate(data: fit_data.FitData, solved: Equilibrium) -> Array:
     """(F, Q) rad/s of the curvature; zero at rest."""
     time = data.observations.time[data.frames]
     out = np.zeros_like(solved.q)
@@ -276,15 +270,15 @@ class LinearisedFit:
     """The linearised model at the optimum."""
 
     problem: linear.FitProblem
-    optimum: Optimum
+    optimum: optimizer.Optimum
     rows: tuple[linear.ResidualRows, ...]  # of each recording
     known: tuple[IntArray, ...]  # indices of the parameters that each recording depends on
     solved: linear.Solved  # the posterior at the optimum's hyperparameters
-    covariance: JointCovariance  # the same
+    covariance: normal.JointCovariance  # the same
     step: Array  # (P,) to where the slope is zero
 
 
-def linearised(problem: linear.FitProblem, optimum: Optimum) -> LinearisedFit:
+def linearised(problem: linear.FitProblem, optimum: optimizer.Optimum) -> LinearisedFit:
     """The linearised model at an optimum."""
     layout, x, noise = problem.layout, optimum.x, optimum.hyperparameters.noise
     rows = each(linear.residual_rows, optimum.predictions, noise)
@@ -420,7 +414,7 @@ def _noise_left(fit: LinearisedFit, changes: Mapping[int, Array]) -> tuple[float
     return before / max(after, 1e-300), numbers
 
 
-def _moved(data: FitData, rows: linear.ResidualRows, change: Array) -> float:
+def _moved(data: fit_data.FitData, rows: linear.ResidualRows, change: Array) -> float:
     """m: RMS over the frames of the tag that a change (F, R) of the whitened poses moves most."""
     weight = np.where(rows.root_weight > 0.0, rows.root_weight, 1.0)
     away = unwhitened(data.whiten, change / weight)[..., :2]
@@ -527,7 +521,7 @@ class Criticism:
         }
 
 
-def criticise(problem: linear.FitProblem, optimum: Optimum, stiffness: UncertainStiffness) -> Criticism:
+def criticise(problem: linear.FitProblem, optimum: optimizer.Optimum, stiffness: UncertainStiffness) -> Criticism:
     """Test the model of a fit that has ended."""
     fit, layout = linearised(problem, optimum), problem.layout
     patterns = each(lambda now: alternatives(now.data, layout, now), optimum.predictions)

@@ -11,23 +11,16 @@ from functools import lru_cache
 import numpy as np
 from scipy.interpolate import BSpline
 
-from onebend.beam.continuation import follow
-from onebend.beam.grid import apply
-from onebend.beam.loads import Loads, push, weight
+from onebend.beam import continuation, grid, loads, sensitivity, statics
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, make_problem
-from onebend.beam.sensitivity import of_mass
-from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import IDENTIFIED_SD, LogSpline, Profile, UncertainStiffness, half_width
 from onebend.errors import LearningError, MechanicsError
-from onebend.learning import prediction
-from onebend.learning.fit_data import MASS_MODES, REST_MODES
+from onebend.learning import fit_data, outcome, parameters, prediction
 from onebend.learning.instruments import ForceDoubt, Instruments, PlannedPush
-from onebend.learning.outcome import Notice
-from onebend.learning.parameters import STATED_ERRORS
 from onebend.options import POSITIVE, option
 from onebend.progress import Progress, Silent, one_blas_thread, track
-from onebend.records import Array, BoolArray, IntArray
+from onebend.records import Array, BoolArray, IntArray, unit
 
 # Fisher information of one push. With J the derivatives of the tags' poses with the parameters and A those with the
 # force, it is `J' (D + A E A')^-1 J`: D the tags' noise, E the force error that the rests leave. Nuisances of this push
@@ -56,16 +49,15 @@ class TagDerivatives:
         return self.blocks["push"]
 
 
-def loads_of(bench: Instruments, at_s: float, forces: Array) -> Loads:
+def loads_of(bench: Instruments, at_s: float, forces: Array) -> loads.Loads:
     """Forces (F, 2) N at one place, under the bench's gravity."""
-    acting = push(forces, at_s)
-    return acting + weight(np.asarray(bench.gravity)) if any(bench.gravity) else acting
+    return loads.push(forces, at_s) + loads.weight(bench.gravity)
 
 
-def solve_push(beam: Beam, bench: Instruments, candidate: PlannedPush) -> Equilibrium:
+def solve_push(beam: Beam, bench: Instruments, candidate: PlannedPush) -> statics.Equilibrium:
     """The push in `STEPS` steps, each in the middle of its share, and the beam at rest. Raises `MechanicsError` if it
     buckles or snaps through."""
-    solved = follow(make_problem(beam, loads_of(bench, candidate.at_s, _forces(candidate)), RESOLUTION))
+    solved = continuation.follow(make_problem(beam, loads_of(bench, candidate.at_s, _forces(candidate)), RESOLUTION))
     if not np.all(solved.stable & np.isnan(solved.buckled_at)):
         raise MechanicsError(
             f"pushed at s = {candidate.at_s:.2f} to {candidate.largest:.3g} N the beam buckles or snaps through; "
@@ -77,11 +69,7 @@ def solve_push(beam: Beam, bench: Instruments, candidate: PlannedPush) -> Equili
 def _forces(candidate: PlannedPush) -> Array:
     """(F, 2) N in the steps of a push, and none at rest."""
     steps = np.append((np.arange(STEPS) + 0.5) / STEPS, 0.0)
-    return candidate.largest * steps[:, None] * _unit(candidate.direction)
-
-
-def _unit(direction: float) -> Array:
-    return np.array([np.cos(direction), np.sin(direction)])
+    return candidate.largest * steps[:, None] * unit(candidate.direction)
 
 
 def tag_derivatives(
@@ -92,24 +80,24 @@ def tag_derivatives(
     solved, tags = solve_push(beam, bench, candidate), np.array(bench.tags)
     tags = tags if more is None else np.append(tags, more)
     problem, nodes = solved.problem, solved.problem.grid.nodes
-    per_length = _mean_of(beam.mass_per_length) * MASS_MODES.curvature(nodes)
+    per_length = _mean_of(beam.mass_per_length) * fit_data.MASS_MODES.curvature(nodes)
     pushed, push_s = _forces(candidate), np.asarray(candidate.at_s)
     _, across = prediction.along_and_across(pushed, solved.angle(push_s[None])[:, 0])
     bent = prediction.BentBeam(
         solved,
         basis(nodes),
-        REST_MODES.curvature(nodes),
+        fit_data.REST_MODES.curvature(nodes),
         pushed,
         np.any(pushed != 0.0, axis=1)[:, None] * np.asarray(nodes < push_s, dtype=float),
         np.zeros_like(nodes),
-        of_mass(problem, per_length, np.asarray(bench.gravity)[None]),
+        sensitivity.of_mass(problem, per_length, np.asarray(bench.gravity)[None]),
     )
     changes = prediction.load_changes(bent) | {"place": prediction.push_moment(problem, push_s, across)}
     blocks = prediction.place_responses(solved, prediction.response_columns(changes, bent), tags)
     pushes = prediction.push_forces(pushed, np.eye(2), np.zeros_like(pushed))
     blocks |= {name: blocks["push"] @ force[:, None] for name, force in pushes.items()}
     poses = solved.poses(np.append(tags, 1.0))
-    bend = apply(problem.grid.value_at(tags), solved.q) / bench.length
+    bend = grid.apply(problem.grid.value_at(tags), solved.q) / bench.length
     nothing = np.zeros(len(tags))
     motion = prediction.TagRide(poses[:, :-1, 2], nothing, nothing).motion(poses[:, :-1, :2], bend)
     return TagDerivatives(candidate, tags, poses[:, -1], blocks, motion)
@@ -155,7 +143,7 @@ def force_covariance(bench: Instruments, candidate: PlannedPush) -> Array:
     force along the push."""
     one = _doubt_of_axis(bench.force, bench.seconds, bench.rest_before, bench.rest_after)
     one = one + np.eye(STEPS) * bench.force.frame**2 * STEPS / bench.frames
-    rate = np.tile(candidate.largest / bench.seconds * _unit(candidate.direction), STEPS)
+    rate = np.tile(candidate.largest / bench.seconds * unit(candidate.direction), STEPS)
     return np.asarray(np.kron(one, np.eye(2)) + bench.clock_sd**2 * np.outer(rate, rate))
 
 
@@ -195,7 +183,7 @@ def eliminate(information: Array, last: int, prior: Array | float = 0.0) -> Arra
 
 def alone(bench: Instruments) -> Array:
     """(N,) prior precisions of the shared nuisances before any push."""
-    field, parts = {error.name: error.field for error in STATED_ERRORS}, bench.shared_parts
+    field, parts = {error.name: error.field for error in parameters.STATED_ERRORS}, bench.shared_parts
     sds = np.zeros(bench.shared_size)
     for name, where in parts.items():
         sds[where] = getattr(bench, field[name])
@@ -214,11 +202,11 @@ def _columns(seen: TagDerivatives, bench: Instruments, chosen: IntArray) -> tupl
     own, motion = len(bench.tags), seen.motion
     watched = prediction.TagMotion(*(part[:, chosen] for part in (motion.along, motion.bend, motion.across, motion.xy)))
     blocks = {name: block[:, chosen] for name, block in seen.blocks.items()} | prediction.tag_blocks(watched)
-    of_tags = [error.name for error in STATED_ERRORS if error.of_tags]
+    of_tags = [error.name for error in parameters.STATED_ERRORS if error.of_tags]
     shared = [blocks[name][..., :own] if name in of_tags else blocks[name] for name in bench.shared]
     wanted = [
         (blocks[error.name][..., own:] if error.of_tags else blocks[error.name], getattr(bench, error.field))
-        for error in STATED_ERRORS
+        for error in parameters.STATED_ERRORS
         if error.of_tags or not error.shared
     ]
     free = [(part, np.full(part.shape[-1], sd)) for part, sd in wanted if sd > 0.0]
@@ -304,8 +292,8 @@ def _reach_at(beam: Beam, bench: Instruments, at_s: float, directions: Array, li
 def _first_break(
     beam: Beam, bench: Instruments, at_s: float, direction: float, sizes: Array, limits: Limits
 ) -> tuple[float, float, str]:
-    forces = np.append(sizes, 0.0)[:, None] * _unit(direction)
-    solved = follow(make_problem(beam, loads_of(bench, at_s, forces), RESOLUTION))
+    forces = np.append(sizes, 0.0)[:, None] * unit(direction)
+    solved = continuation.follow(make_problem(beam, loads_of(bench, at_s, forces), RESOLUTION))
     broken = _broken(solved, bench, at_s, direction, limits)
     first = {why: int(np.argmax(rows[:-1])) for why, rows in broken.items() if np.any(rows[:-1])}
     if not first:
@@ -316,7 +304,7 @@ def _first_break(
 
 
 def _broken(
-    solved: Equilibrium, bench: Instruments, at_s: float, direction: float, limits: Limits
+    solved: statics.Equilibrium, bench: Instruments, at_s: float, direction: float, limits: Limits
 ) -> dict[str, BoolArray]:
     here, tip = solved.angle(np.array([at_s, 1.0])).T
     turn = np.abs(tip - tip[-1])
@@ -339,7 +327,7 @@ def _most_force(bench: Instruments, limits: Limits) -> float:
 
 
 def _stands(beam: Beam, bench: Instruments, at_s: float, direction: float, force: float) -> bool:
-    solved = follow(make_problem(beam, loads_of(bench, at_s, force * _unit(direction)[None]), RESOLUTION))
+    solved = continuation.follow(make_problem(beam, loads_of(bench, at_s, force * unit(direction)[None]), RESOLUTION))
     return bool(solved.stable[0] and np.isnan(solved.buckled_at[0]))
 
 
@@ -386,16 +374,16 @@ class Proposal:
     better_sensor: float | None = None  # times smaller errors than today's; None: today's sensor
 
     @property
-    def needs(self) -> Notice | None:
+    def needs(self) -> outcome.Notice | None:
         """The tag or the sensor that is not on the bench yet."""
         if self.added_tag is not None:
-            return Notice("one more tag", {"s": self.added_tag})
-        return None if self.better_sensor is None else Notice("better sensor", {"times": self.better_sensor})
+            return outcome.Notice("one more tag", {"s": self.added_tag})
+        return None if self.better_sensor is None else outcome.Notice("better sensor", {"times": self.better_sensor})
 
     @property
-    def notice(self) -> Notice:
+    def notice(self) -> outcome.Notice:
         """The push, its needs, and how well k(s) would be known after it."""
-        return Notice("planned push", {**vars(self), "needs": self.needs})
+        return outcome.Notice("planned push", {**vars(self), "needs": self.needs})
 
 
 @dataclass(frozen=True)

@@ -14,23 +14,14 @@ from onebend.beam.problem import Problem, Resolution, make_problem, share_farthe
 from onebend.beam.sensitivity import Perturbation, of_mass
 from onebend.beam.stiffness import LogSpline, Profile, UncertainStiffness, Uniform
 from onebend.errors import LearningError
-from onebend.learning.allowances import (
-    Allowance,
-    Entry,
-    Film,
-    MaterialMemory,
-    allowances_of,
-    course_of,
-    inertial_force,
-    weight_beyond,
-)
+from onebend.learning import allowances as effects
 from onebend.learning.force_error import ForceError, force_error
-from onebend.learning.frames import known_loads, mass_profile, pose_whitening, push_places, typical
+from onebend.learning.frames import known_loads, mass_profile, pose_whitening, push_places
 from onebend.learning.parameters import NEEDS_MASS, KnownShape, Spline, curvature_sd
 from onebend.learning.static_poses import HeldEnds, SeenPoses, held_ends, resolution_of, seen_poses
-from onebend.recording.signals import low_pass
+from onebend.recording.signals import low_pass, nan_median
 from onebend.recording.tracks import chord_angles
-from onebend.records import Array, BoolArray, IntArray, Observations, covariance_with_camera, tags_among
+from onebend.records import Array, BoolArray, IntArray, Observations, covariance_with_camera, rotated, tags_among
 
 # The beam at rest: natural curvature and mounting errors of the tags, separated by their priors. A mounting error turns
 # with the beam, so it is subtracted in the tag's own frame.
@@ -67,9 +58,7 @@ def at_rest(observations: Observations) -> AtRest:
         theta = _rest_states(o, known, bent_sd)
     at = places(o.length, _REST_MODES, o.marker_s)
     alpha = angles(at, theta[None])[0]
-    away = o.rest_xy - positions(at, theta[None])[0]
-    cos, sin = np.cos(alpha), np.sin(alpha)
-    offset = np.stack([cos * away[:, 0] + sin * away[:, 1], -sin * away[:, 0] + cos * away[:, 1]], axis=1)
+    offset = rotated(o.rest_xy - positions(at, theta[None])[0], -alpha)
     turn = np.nan_to_num(o.rest_angle - alpha)  # a marker without an angle has no turn
     return AtRest(theta, np.where(known[:, None], offset, 0.0), np.where(known, turn, 0.0), seen=True)
 
@@ -82,10 +71,7 @@ def beam_points(observations: Observations, rest: AtRest) -> tuple[Array, Array]
     tangent = observations.angle - rest.turn
     turned = np.where(np.isfinite(tangent), tangent, chord_angles(observations.xy, observations.marker_s))
     turned = np.where(np.isfinite(turned), turned, 0.0)
-    cos, sin = np.cos(turned), np.sin(turned)
-    dx, dy = rest.offset[:, 0], rest.offset[:, 1]
-    shift = np.stack([cos * dx - sin * dy, sin * dx + cos * dy], axis=-1)
-    return observations.xy - shift, tangent
+    return observations.xy - rotated(rest.offset, turned), tangent
 
 
 def _rest_states(o: Observations, known: BoolArray, bent_sd: float) -> Array:
@@ -120,7 +106,7 @@ class OwnWeight:
 
     def force(self, problem: Problem, k: Array, parts: Array) -> Array:
         """(F, Q, 2) N beyond each node."""
-        return weight_beyond(problem, self.line(k, parts)[..., None], self.gravity)[..., 0]
+        return effects.weight_beyond(problem, self.line(k, parts)[..., None], self.gravity)[..., 0]
 
     def line(self, k: Array, parts: Array) -> Array:
         """(Q,) or (F, Q) kg/m at the nodes; without the stated mass where it does not follow k."""
@@ -135,7 +121,7 @@ class OwnWeight:
     def by_stiffness(self, problem: Problem, k: Array, functions: Array, parts: Array) -> Array | None:
         """(F, Q, 2, p) N, derivatives with the coefficients of log k of `functions` (Q, p) or (F, Q, p)."""
         by_k = self.line_by_stiffness(k, functions, parts)
-        return None if by_k is None else weight_beyond(problem, by_k, self.gravity)
+        return None if by_k is None else effects.weight_beyond(problem, by_k, self.gravity)
 
     def line_by_stiffness(self, k: Array, functions: Array, parts: Array) -> Array | None:
         """(Q, p) or (F, Q, p) kg/m, derivatives as above; None where the mass does not follow k."""
@@ -213,8 +199,8 @@ class FitData:
     on_nodes: Array  # (Q, p) or (F, Q, p): the spline's functions at the nodes
     offset: Array  # (Q,) or (F, Q): what is known of log k there, but for its level
     rest_on_nodes: Array  # (Q, 3) or (F, Q, 3)
-    allowances: tuple[Allowance, ...] = ()
-    memory: MaterialMemory | None = None  # of a beam that relaxes, where earlier frames are not among these
+    allowances: tuple[effects.Allowance, ...] = ()
+    memory: effects.MaterialMemory | None = None  # of a beam that relaxes, where earlier frames are not among these
 
     @property
     def resting(self) -> BoolArray:
@@ -233,7 +219,7 @@ class FitData:
         across = np.sum(away * self.across, axis=-1, keepdims=True) * self.across
         return np.where(np.any(self.across, axis=-1, keepdims=True), across, away)
 
-    def entering(self, enters: Entry) -> list[Allowance]:
+    def entering(self, enters: effects.Entry) -> list[effects.Allowance]:
         """The allowances that enter the model here."""
         return [a for a in self.allowances if a.enters == enters]
 
@@ -267,7 +253,7 @@ def fit_data(
     if np.any(np.isfinite(o.rest_xy)):  # the beam at rest is one more frame, of no force and no force error
         rest = np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=1)
         measured = np.concatenate([measured, rest[None]])
-        covariance = np.concatenate([covariance, np.maximum(typical(all_noise), 0.0)[None] * np.eye(3)])
+        covariance = np.concatenate([covariance, np.maximum(nan_median(all_noise), 0.0)[None] * np.eye(3)])
         force, rate = np.vstack([force, np.zeros(2)]), np.vstack([rate, np.zeros(2)])
         push_s, gravity = np.append(push_s, push_s[-1]), np.vstack([gravity, np.zeros(2)])
         weights = np.vstack([weights, np.zeros(weights.shape[1])])
@@ -285,14 +271,16 @@ def fit_data(
     known = KnownShape(None, 0.0) if known is None else known
     carrier = Beam(o.length, known.profile, mass_per_length=written, masses=o.stated.masses)
     problem = make_problem(
-        carrier, _loads(np.zeros_like(force), push_s, gravity) + other, resolution or resolution_of(o)
+        carrier, push(np.zeros_like(force), push_s) + weight(gravity) + other, resolution or resolution_of(o)
     )
     ends = held_ends(o, frames, problem)
     nodes = problem.grid.nodes
-    film = Film(o, frames, measured, problem, gravity, line)
+    film = effects.Film(o, frames, measured, problem, gravity, line)
     none = o.static or not np.any(frames)
     known_mass = bool(allowances) and (np.isfinite(o.stated.mass) or o.stated.masses) and not o.static
-    inertia = inertial_force(o, frames, problem, line, len(force), o.stated.masses) if known_mass else np.zeros(1)
+    inertia = (
+        effects.inertial_force(o, frames, problem, line, len(force), o.stated.masses) if known_mass else np.zeros(1)
+    )
     return FitData(
         observations=o,
         number=number,
@@ -317,7 +305,7 @@ def fit_data(
         on_nodes=spline.basis(nodes),
         offset=known.offset_at(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),
-        allowances=() if none else allowances_of(course_of(o, frames, film, across), allowances),
+        allowances=() if none else effects.allowances_of(effects.course_of(o, frames, film, across), allowances),
     )
 
 
@@ -340,8 +328,3 @@ def rested(loads: Loads) -> Loads:
     more = loads.take(np.append(np.arange(loads.size), loads.size - 1))
     here = (np.arange(more.size) < loads.size).astype(float)
     return replace(more, force=more.force * here[:, None, None], moment=more.moment * here[:, None])
-
-
-def _loads(force: Array, push_s: Array, gravity: Array) -> Loads:
-    loads = push(force, push_s)
-    return loads + weight(gravity) if np.any(gravity != 0.0) else loads

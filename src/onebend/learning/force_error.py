@@ -23,11 +23,13 @@ from onebend.records import Array, CleanForce, ForceNoise, IntArray, Observation
 
 _MARGIN = 0.2  # s, kept away from contact when a rest is read, besides the low-pass's memory:
 _MEMORY = 1.0  # periods of its cut-off
+_REACH = 2.0  # s, of the rest on either side of the push that counts at least: ten times the usual correlation time
 _MOST_KNOTS = 100  # two unknowns each: a bound on the size of a fit
 _SPACING = 0.25  # of the period of the cut-off: half of Nyquist's
 _GRAIN = 0.03  # of the coloured part's variance: free from knot to knot, so that it can be inverted
 _PANEL = 8  # columns that LAPACK takes together where it adds rows to a QR factor
 _FINE = 4  # steps between knots, where the load's error is filtered
+_REST_SHARE = 0.1  # of the coloured noise: least sd of the log in the rests about the spline
 _LEAST = 1e-7  # of the largest force: least noise, for rounding
 _UNKNOWN_NOISE = 0.02  # of the largest force, where the log's noise was never found
 
@@ -85,6 +87,13 @@ class ForceError:
         if not len(self.knots):
             return 1e-9
         return float(np.sqrt(self.filtered.covariance(self.noise.coloured, self.noise.tau, self.white)[0]))
+
+    @cached_property
+    def rest_sd(self) -> float:
+        """N, of the log in the rests about the spline: what the knots cannot follow, at least a share of the noise."""
+        fitted, _, rank, _ = np.linalg.lstsq(self.rest_weights, self.rest_values)
+        left = float(np.sum((self.rest_values - self.rest_weights @ fitted) ** 2)) / 2.0
+        return max(_REST_SHARE * self.size, float(np.sqrt(left / max(len(self.rest_values) - int(rank), 1))))
 
     @cached_property
     def rest_gram(self) -> Array:
@@ -180,10 +189,12 @@ def force_error(observations: Observations, time: Array) -> ForceError:
     noise, cutoff, spacing = expected_noise(observations, largest), np.inf, 0.3
     if clean is not None and np.isfinite(clean.cutoff) and clean.cutoff > 0.0:
         cutoff, spacing = clean.cutoff, _SPACING / clean.cutoff
-    rest_time, rest_force = _in_rests(observations, 0.5 * spacing, _MARGIN + _MEMORY / cutoff)
+    span = _told(observations, (_MOST_KNOTS - 3) * spacing)
+    spacing = max(spacing, (span[1] - span[0]) / (_MOST_KNOTS - 3))
+    rest_time, rest_force = _in_rests(observations, span, 0.5 * spacing, _MARGIN + _MEMORY / cutoff)
     everything = np.concatenate([time, rest_time])
     begin, end = float(np.min(everything)), float(np.max(everything))
-    count = int(np.clip(np.ceil((end - begin) / spacing) + 3, 4, _MOST_KNOTS))
+    count = max(int(np.ceil((end - begin) / spacing)) + 3, 4)
     step = (end - begin) / (count - 3)
     knots = np.asarray(begin + step * (np.arange(count) - 1.0), dtype=float)
     sd = observations.force_sd
@@ -203,20 +214,27 @@ def force_error(observations: Observations, time: Array) -> ForceError:
     )
 
 
-def _in_rests(observations: Observations, step: float, margin: float) -> tuple[Array, Array]:
-    """(R,) s and (R, 2) N: instants at least `step` [s] apart, and `margin` [s] from any contact, and the log there.
+def _told(observations: Observations, most: float) -> tuple[float, float]:
+    """s: from where to where the error of the log counts: the push, and the rests of the film beside it.
+
+    Knots for `most` [s] are there; the push has them first. What acts before and after the film is unknown.
+    """
+    time = observations.time
+    loaded = time[observations.loaded] if np.any(observations.loaded) else time
+    reach = max(_REACH, 0.5 * (most - float(np.ptp(loaded))))
+    return float(max(time[0], loaded[0] - reach)), float(min(time[-1], loaded[-1] + reach))
+
+
+def _in_rests(observations: Observations, span: tuple[float, float], step: float, margin: float) -> tuple[Array, Array]:
+    """(R,) s and (R, 2) N: instants of a span at least `step` [s] apart, `margin` [s] from any contact, and the log.
 
     The margin covers what the low-pass makes of the contact: read as an error of the log, it would shift k(s).
     """
     clean, loaded = observations.source.clean_force, observations.time[observations.loaded]
     if clean is None or not len(loaded):
         return np.zeros(0), np.zeros((0, 2))
-    free = np.zeros(len(clean.time), dtype=bool)
-    if not observations.loaded[0]:
-        free |= clean.time < loaded[0] - margin
-    if not observations.loaded[-1]:  # held to the end of the film, the log after it says nothing
-        free |= clean.time > loaded[-1] + margin
-    free &= np.all(np.isfinite(clean.force), axis=1)
+    free = (clean.time < loaded[0] - margin) | (clean.time > loaded[-1] + margin)
+    free &= (clean.time >= span[0]) & (clean.time <= span[1]) & np.all(np.isfinite(clean.force), axis=1)
     pick = _spread(clean.time, np.flatnonzero(free).astype(np.int64), step)
     return clean.time[pick], clean.force[pick]
 

@@ -12,7 +12,7 @@ from onebend.beam.loads import Loads, push, weight
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Polyline, Profile, Table, Uniform
 from onebend.errors import LearningError
-from onebend.recording.signals import low_pass
+from onebend.recording.signals import low_pass, nan_mean, nan_median
 from onebend.records import Array, BoolArray, IntArray, Observations, read_before_fit, tags_among
 
 _BENT = 5.0  # times the median change by a second low-pass: a larger change is not noise
@@ -40,7 +40,7 @@ def nothing_moves(o: Observations) -> str:
     seen = np.any(np.isfinite(away), axis=0)
     if not seen.any():
         return ""
-    usual = np.sqrt(np.trace(typical(o.covariance[:, seen, :2, :2]), axis1=1, axis2=2))
+    usual = np.sqrt(np.trace(nan_median(o.covariance[:, seen, :2, :2]), axis1=1, axis2=2))
     farthest = np.nanpercentile(away[:, seen], 95.0, axis=0)
     if np.any(farthest > _STILL * usual) or np.any(farthest > _NO_PUSH * o.length):
         return ""
@@ -166,9 +166,8 @@ def push_places(observations: Observations) -> Array:
 
 def loads_of(observations: Observations, frames: BoolArray) -> Loads:
     """The measured loads in those frames, weight included."""
-    gravity = observations.gravity[frames]
     loads = push(observations.force[frames], push_places(observations)[frames]) + known_loads(observations, frames)
-    return loads + weight(gravity) if np.any(gravity != 0.0) else loads
+    return loads + weight(observations.gravity[frames])
 
 
 def known_loads(observations: Observations, frames: BoolArray) -> Loads:
@@ -224,25 +223,12 @@ def _from_rest(o: Observations) -> Array:
 
 def moved_by(o: Observations) -> Array:
     """(T,) m, root mean square distance of the tags from rest; NaN where no tag was seen."""
-    return np.asarray(np.sqrt(_known_mean(_from_rest(o) ** 2, axis=1)))
+    return np.asarray(np.sqrt(nan_mean(_from_rest(o) ** 2, axis=1)))
 
 
 def marker_rms(difference: Array) -> Array:
     """(m,) m, root mean square length of differences (T, m, 2); NaN for a tag that was never seen."""
-    return np.asarray(np.sqrt(_known_mean(distances(difference) ** 2)))
-
-
-def _known_mean(values: Array, axis: int = 0) -> Array:
-    """Mean of the finite values over an axis; NaN where there is none."""
-    known = np.isfinite(values)
-    count, total = np.sum(known, axis=axis), np.sum(np.where(known, values, 0.0), axis=axis)
-    return np.asarray(np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0))
-
-
-def typical(values: Array) -> Array:
-    """Median over the first axis of what is known there; NaN where nothing is."""
-    known = np.any(np.isfinite(values), axis=0)
-    return np.where(known, np.nanmedian(np.where(known, values, 0.0), axis=0), np.nan)
+    return np.asarray(np.sqrt(nan_mean(distances(difference) ** 2)))
 
 
 # Readings of static poses: a hand-traced curve has correlated errors, a ruler or dial gauge stands at a fixed x while
@@ -346,7 +332,7 @@ def from_the_clamp(o: Observations, frames: BoolArray, predicted: Array) -> Arra
     if zeroed < 0:
         return read
     away = np.where(np.isfinite(read), predicted - read, np.nan)
-    shift = away[int(np.sum(frames[:zeroed]))] if frames[zeroed] else _known_mean(away)
+    shift = away[int(np.sum(frames[:zeroed]))] if frames[zeroed] else nan_mean(away)
     return read + (shift if o.readings.at == "mark" else shift * np.array([0.0, 1.0]))
 
 

@@ -16,25 +16,10 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
+from onebend.learning import linear
 from onebend.learning.allowances import Sizes
 from onebend.learning.fit_data import FitData
 from onebend.learning.force_error import ForceError
-from onebend.learning.linear import (
-    FitProblem,
-    Hyperparameters,
-    JointInformation,
-    RecordingNoise,
-    ResidualRows,
-    Solved,
-    coupled,
-    eliminated,
-    explained_by,
-    force_shrinkage,
-    marginal,
-    prior,
-    solved,
-    split_off_force,
-)
 from onebend.learning.normal import (
     BlockRoot,
     Draws,
@@ -74,46 +59,46 @@ _LEAST_NOISE = 0.02  # of the tags' stated sd: below it the solver's error (1e-8
 class Evidence:
     """The marginal likelihood of the linearised model as a function of the hyperparameters."""
 
-    problem: FitProblem
-    data: JointInformation  # of tags and rests
+    problem: linear.FitProblem
+    data: linear.JointInformation  # of tags and rests
     spread: Array = field(default_factory=SPREAD.copy)  # (d,) see `SPREAD`; that of the first d sizes
 
-    def posterior(self, hyperparameters: Hyperparameters) -> Solved:
+    def posterior(self, hyperparameters: linear.Hyperparameters) -> linear.Solved:
         """Of all parameters, at these hyperparameters."""
-        return solved(self.data, prior(self.problem, hyperparameters))
+        return linear.solved(self.data, linear.prior(self.problem, hyperparameters))
 
-    def stiffness_form(self, posterior: Solved, weight: float = 1.0) -> InformationForm:
+    def stiffness_form(self, posterior: linear.Solved, weight: float = 1.0) -> InformationForm:
         """Likelihood of log k, all else integrated out at the hyperparameters of a posterior."""
         p, before = self.problem.layout.spline.count, posterior.before
         others = np.arange(p, before.parts[0].stop)
         if not len(others):
             return replace(posterior.left, weight=weight)
-        left = eliminated(posterior.left, before.mean[others], before.roots[0].take(others), p).left
+        left = linear.eliminated(posterior.left, before.mean[others], before.roots[0].take(others), p).left
         return replace(left, weight=weight)
 
-    def hyperparameters_at(self, start: Hyperparameters, z: Array) -> Hyperparameters:
+    def hyperparameters_at(self, start: linear.Hyperparameters, z: Array) -> linear.Hyperparameters:
         """Sizes of the force error z (d,) sd from what was expected, all else as at `start`."""
         sizes: dict[str, Any] = dict(zip(CHOSEN, self.sizes_at(start, z), strict=True))
         return replace(start, **sizes)
 
-    def sizes_at(self, start: Hyperparameters, z: Array) -> tuple[float, ...]:
+    def sizes_at(self, start: linear.Hyperparameters, z: Array) -> tuple[float, ...]:
         """In the order of `CHOSEN`."""
         sizes = self._expected * np.exp(self.spread * np.clip(z, -_FARTHEST, _FARTHEST))
         return *sizes.tolist(), *start.of_force[len(z) :]
 
-    def cost(self, start: Hyperparameters) -> Callable[[Array], float]:
+    def cost(self, start: linear.Hyperparameters) -> Callable[[Array], float]:
         """Minus log posterior of z. All but the force's error and the shared parameters is integrated out once; of many
         recordings only some are used, the others are taken at `start`."""
-        before, problem = prior(self.problem, start), self.problem
+        before, problem = linear.prior(self.problem, start), self.problem
         asked = set(np.linspace(0, len(problem.recordings) - 1, _TELL_SIZES).astype(int).tolist())
         own = [self._force_error(number) if number in asked else _NOTHING for number in range(len(problem.recordings))]
-        data, some = coupled(self.data, before, own)
+        data, some = linear.coupled(self.data, before, own)
         errors = [r.error if len(mine) else None for r, mine in zip(problem.recordings, own, strict=True)]
 
         def of(z: Array) -> float:
             roots = each(partial(error_root, sizes=self.sizes_at(start, z)), errors)
             try:
-                log_evidence = solved(data, replace(some, roots=(some.roots[0], *roots))).log_evidence
+                log_evidence = linear.solved(data, replace(some, roots=(some.roots[0], *roots))).log_evidence
             except np.linalg.LinAlgError:
                 return 1e12
             return 0.5 * float(z @ z) - log_evidence
@@ -128,7 +113,7 @@ class Evidence:
         start = block.start - layout.parts[1 + number].start
         return np.arange(start, start + count)
 
-    def place(self, hyperparameters: Hyperparameters) -> Array:
+    def place(self, hyperparameters: linear.Hyperparameters) -> Array:
         """(d,) sd of the force error's sizes from what was expected."""
         sizes = np.array(hyperparameters.of_force[: len(self.spread)])
         return np.asarray(np.log(sizes / self._expected) / self.spread)
@@ -148,12 +133,12 @@ def error_root(error: ForceError | None, sizes: tuple[float, ...]) -> BlockRoot:
     return BlockRoot(np.ones(count), tuple((slice(axis, count, 2), of_axis) for axis in range(2)))
 
 
-def choose_hyperparameters(evidence: Evidence, start: Hyperparameters) -> Hyperparameters:
+def choose_hyperparameters(evidence: Evidence, start: linear.Hyperparameters) -> linear.Hyperparameters:
     """Sizes of the force error of greatest evidence, and the mean prior of log k under them."""
     return with_stiffness_prior(evidence, likeliest(evidence, start))
 
 
-def likeliest(evidence: Evidence, start: Hyperparameters) -> Hyperparameters:
+def likeliest(evidence: Evidence, start: linear.Hyperparameters) -> linear.Hyperparameters:
     """Sizes of the force error of greatest evidence."""
     begin = evidence.place(start)
     bounds = [(-_FARTHEST, _FARTHEST)] * len(begin)
@@ -162,7 +147,7 @@ def likeliest(evidence: Evidence, start: Hyperparameters) -> Hyperparameters:
     return evidence.hyperparameters_at(start, result.x)
 
 
-def with_stiffness_prior(evidence: Evidence, hyperparameters: Hyperparameters) -> Hyperparameters:
+def with_stiffness_prior(evidence: Evidence, hyperparameters: linear.Hyperparameters) -> linear.Hyperparameters:
     """The hyperparameters with the mean prior of log k under them; where its shape is stated, it stays as it is."""
     problem = evidence.problem
     if problem.layout.known is not None:
@@ -175,8 +160,8 @@ def with_stiffness_prior(evidence: Evidence, hyperparameters: Hyperparameters) -
 
 
 def at_nodes(
-    evidence: Evidence, hyperparameters: Hyperparameters, sizes: Sequence[Sizes]
-) -> Iterator[tuple[Solved, float]]:
+    evidence: Evidence, hyperparameters: linear.Hyperparameters, sizes: Sequence[Sizes]
+) -> Iterator[tuple[linear.Solved, float]]:
     """Posteriors at the nodes of a cubature over the hyperparameters, and their weights, which sum to one; `sizes` are
     equally probable."""
     nodes, weights = _cubature(evidence, hyperparameters)
@@ -185,7 +170,7 @@ def at_nodes(
 
 
 def averaged_stiffness(
-    evidence: Evidence, nodes: Iterable[tuple[Solved, float]], draws: Draws, chains: Array | None = None
+    evidence: Evidence, nodes: Iterable[tuple[linear.Solved, float]], draws: Draws, chains: Array | None = None
 ) -> StiffnessMixture:
     """log k, averaged over the hyperparameters; `nodes` as of `at_nodes`, `chains` as of `Hyperparameters`."""
     layout, p = evidence.problem.layout, evidence.problem.layout.spline.count
@@ -200,18 +185,18 @@ def averaged_stiffness(
 
 
 def averaged_posterior(
-    evidence: Evidence, hyperparameters: Hyperparameters, sizes: Sequence[Sizes], draws: Draws = _AT_THE_END
+    evidence: Evidence, hyperparameters: linear.Hyperparameters, sizes: Sequence[Sizes], draws: Draws = _AT_THE_END
 ) -> tuple[StiffnessMixture, JointCovariance]:
     """log k and the covariance of all parameters, averaged over the hyperparameters; `sizes` as of `at_nodes`."""
     layout, best = evidence.problem.layout, evidence.posterior(hyperparameters).mean
     known = [layout.known_to(number) for number in range(len(evidence.problem.recordings))]
     pairs = [in_own_pages(np.zeros((len(i), len(i)))) for i in known]
 
-    def add(pair: Array, number: int, index: IntArray, posterior: Solved, weight: float) -> None:
+    def add(pair: Array, number: int, index: IntArray, posterior: linear.Solved, weight: float) -> None:
         away = (posterior.mean - best)[index]
         pair += weight * (posterior.pair(number) + np.outer(away, away))
 
-    def added() -> Iterator[tuple[Solved, float]]:  # one by one: all of them take much memory
+    def added() -> Iterator[tuple[linear.Solved, float]]:  # one by one: all of them take much memory
         for posterior, weight in at_nodes(evidence, hyperparameters, sizes):
             each(partial(add, posterior=posterior, weight=weight), pairs, range(len(known)), known)
             yield posterior, weight
@@ -230,7 +215,9 @@ def _with_stiffness(covariance: Array, of_log_k: Array) -> Array:
     return np.asarray(0.5 * (out + out.T))
 
 
-def _cubature(evidence: Evidence, hyperparameters: Hyperparameters) -> tuple[list[Hyperparameters], Array]:
+def _cubature(
+    evidence: Evidence, hyperparameters: linear.Hyperparameters
+) -> tuple[list[linear.Hyperparameters], Array]:
     """Nodes over the sizes of the force error, and weights as the evidence says: exact to degree three."""
     middle, cost = evidence.place(hyperparameters), evidence.cost(hyperparameters)
     lowest = cost(middle)
@@ -271,14 +258,16 @@ def _hessian(cost: Callable[[Array], float], middle: Array, there: float, h: flo
     return out
 
 
-def expected_recording_noise(data: FitData) -> RecordingNoise:
+def expected_recording_noise(data: FitData) -> linear.RecordingNoise:
     """The noise before any residual is known."""
     if data.observations.static:
-        return RecordingNoise(1.0, _load_sd(data))
-    return RecordingNoise(1.5, 0.5 * data.error.size)
+        return linear.RecordingNoise(1.0, _load_sd(data))
+    return linear.RecordingNoise(1.5, 0.5 * data.error.size)
 
 
-def new_noise(data: FitData, rows: ResidualRows, before: RecordingNoise, spent: float) -> RecordingNoise:
+def new_noise(
+    data: FitData, rows: linear.ResidualRows, before: linear.RecordingNoise, spent: float
+) -> linear.RecordingNoise:
     """The noise from the residuals.
 
     Static poses have stated sds of their loads. A guessed sd of their points counts as a few numbers; a stated one is a
@@ -286,11 +275,11 @@ def new_noise(data: FitData, rows: ResidualRows, before: RecordingNoise, spent: 
     """
     if not data.observations.static:
         return updated_noise(rows, before, spent, np.setdiff1d(np.arange(data.measured.shape[1]), data.tags))
-    unexplained, _ = split_off_force(rows, rows.r, before)
+    unexplained, _ = linear.split_off_force(rows, rows.r, before)
     numbers = float(np.sum(rows.known))
     free = max(numbers - spent, 0.3 * numbers)
     marker = float(np.sqrt((np.sum(rows.r * unexplained) + _GUESS_COUNTS) / (free + _GUESS_COUNTS)))
-    return RecordingNoise(max(marker, 1.0) if data.observations.sd_known else marker, _load_sd(data))
+    return linear.RecordingNoise(max(marker, 1.0) if data.observations.sd_known else marker, _load_sd(data))
 
 
 def _load_sd(data: FitData) -> float:
@@ -299,8 +288,8 @@ def _load_sd(data: FitData) -> float:
 
 
 def updated_noise(
-    rows: ResidualRows, before: RecordingNoise, spent: float, points: IntArray = _NOTHING
-) -> RecordingNoise:
+    rows: linear.ResidualRows, before: linear.RecordingNoise, spent: float, points: IntArray = _NOTHING
+) -> linear.RecordingNoise:
     """Noise of a recording from its residuals, by expectation-maximisation over the frames' own force errors; that of
     an outline's `points` among the markers has a size of its own where there are tags, and is at least as stated.
 
@@ -312,26 +301,26 @@ def updated_noise(
     kinds = [one for one in (~traced, traced) if one.any()]
     noise, by_force = before, rows.by_force(rows.r)
     for _ in range(30):
-        shrinkage = force_shrinkage(rows, noise)
+        shrinkage = linear.force_shrinkage(rows, noise)
         force = np.einsum("fde,fe->fd", shrinkage, by_force)
         moments = noise.marker**2 * shrinkage + force[:, :, None] * force[:, None]  # (F, 2, 2) of each frame's force
-        left = (rows.r - explained_by(rows.a, force)) ** 2
+        left = (rows.r - linear.explained_by(rows.a, force)) ** 2
         left = left + noise.marker**2 * np.einsum("frd,fde,fre->fr", rows.a, shrinkage, rows.a)
         sizes = [np.sqrt(np.sum(left[:, one]) / (share * max(float(np.sum(rows.known[:, one])), 1.0))) for one in kinds]
         own = np.mean(np.trace(moments, axis1=1, axis2=2)) / 2.0
         noise = replace(before, marker=float(max(sizes[0], _LEAST_NOISE)), force=float(np.sqrt(own)))
-    unexplained, force = split_off_force(rows, rows.r, noise)
+    unexplained, force = linear.split_off_force(rows, rows.r, noise)
     times = [correlation_time(unexplained[:, one]) for one in kinds]
     marker, *outline = [size * float(np.sqrt(time)) for size, time in zip(sizes, times, strict=True)]
     marker = max(marker, 1.0 if traced.all() else _LEAST_NOISE)
     shares = (max(before.outline * one, 1.0) / marker for one in outline)
-    return RecordingNoise(marker, noise.force * float(np.sqrt(correlation_time(force))), *shares)
+    return linear.RecordingNoise(marker, noise.force * float(np.sqrt(correlation_time(force))), *shares)
 
 
 _SITE_ROUNDS = 4  # of sites and posterior
 
 
-def with_sites(evidence: Evidence, start: Hyperparameters) -> Hyperparameters:
+def with_sites(evidence: Evidence, start: linear.Hyperparameters) -> linear.Hyperparameters:
     """The hyperparameters with the sites of the parameters whose priors are not normal."""
     layout = evidence.problem.layout
     wanted = [block for block in layout.blocks if is_shaped(block)]
@@ -351,7 +340,7 @@ def with_sites(evidence: Evidence, start: Hyperparameters) -> Hyperparameters:
 FACTORS = np.exp(np.linspace(np.log(0.02), np.log(10.0), 120))  # that are tried
 
 
-def choose_sizes(evidence: Evidence, start: Hyperparameters) -> Sizes:
+def choose_sizes(evidence: Evidence, start: linear.Hyperparameters) -> Sizes:
     """The factor of greatest evidence for each `sized` allowance in turn (automatic relevance determination)."""
     sizes = dict(start.sizes)
     names = {a.name for data in evidence.problem.recordings for a in data.allowances if a.sized}
@@ -361,15 +350,17 @@ def choose_sizes(evidence: Evidence, start: Hyperparameters) -> Sizes:
     return sizes
 
 
-def size_density(evidence: Evidence, start: Hyperparameters, name: str) -> Array:
+def size_density(evidence: Evidence, start: linear.Hyperparameters, name: str) -> Array:
     """(FACTORS,) log posterior density of the log of one allowance's factor, up to a constant, all else at `start`."""
-    layout, before = evidence.problem.layout, prior(evidence.problem, start)
+    layout, before = evidence.problem.layout, linear.prior(evidence.problem, start)
     where = [_stands(inside, name, part.start) for inside, part in zip(layout.free_blocks, layout.parts, strict=True)]
     sd = [np.concatenate([np.zeros(0), *(b.prior_sd for b in own if b.name == name)]) for own in layout.free_blocks]
     if len(where[0]):
-        form = marginal(solved(evidence.data, before).left, before.mean[layout.parts[0]], before.roots[0], where[0])
+        form = linear.marginal(
+            linear.solved(evidence.data, before).left, before.mean[layout.parts[0]], before.roots[0], where[0]
+        )
         return log_density_of([_scaled(form, 0, sd[0])], 0)
-    data, some = coupled(evidence.data, before, where[1:])
+    data, some = linear.coupled(evidence.data, before, where[1:])
     couple, root = some.parts[0].stop, some.roots[0]
     forms = []
     for form, s in zip(data.forms, sd[1:], strict=True):
@@ -378,7 +369,7 @@ def size_density(evidence: Evidence, start: Hyperparameters, name: str) -> Array
     return log_density_of(forms, couple)
 
 
-def likely_sizes(evidence: Evidence, start: Hyperparameters, name: str, count: int) -> Array:
+def likely_sizes(evidence: Evidence, start: linear.Hyperparameters, name: str, count: int) -> Array:
     """(count,) factors on one allowance that are about equally probable: middles of parts of its posterior."""
     log_density = size_density(evidence, start, name)
     share = np.exp(log_density - np.max(log_density))

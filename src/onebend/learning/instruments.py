@@ -12,11 +12,12 @@ from onebend.errors import LearningError
 from onebend.learning.allowances import BETWEEN, BETWEEN_SD, TIMES, USUAL_THICKNESS, course_of
 from onebend.learning.fit_data import FitData
 from onebend.learning.force_error import expected_noise, filtered
-from onebend.learning.frames import moved_by, read_alone, typical
+from onebend.learning.frames import moved_by, read_alone
 from onebend.learning.linear import Hyperparameters, log_k_map
 from onebend.learning.parameters import STATED_ERRORS, Layout
 from onebend.progress import one_blas_thread
 from onebend.record_data import record_from
+from onebend.recording.signals import nan_median
 from onebend.records import DIRECTION_SD, GAIN_SD, PLACE_SD, POINT_ID, Array, Observations, covariance_with_camera
 
 if TYPE_CHECKING:  # for the type alone: who reads a model loads no fit
@@ -148,7 +149,7 @@ def instruments_of(posterior: Posterior) -> Instruments:
     return Instruments(
         length=seen[0].length,
         tags=tuple(float(s) for s in seen[0].marker_s),
-        tag_sd=typical(np.asarray(tag_sd)),
+        tag_sd=nan_median(np.asarray(tag_sd)),
         frames=round(float(np.median([np.sum(f.frames) for f in films]))),
         seconds=float(np.median([np.ptp(f.observations.time[f.frames]) for f in films])),
         rest_before=float(rests[0]),
@@ -230,7 +231,7 @@ def _prior_sd(at: Layout, films: tuple[FitData, ...], name: str, *, shared: bool
 
 def _tag_sd(observations: Observations) -> Array:
     """(m, 3) of x, y, angle in a typical frame."""
-    return np.sqrt(typical(np.diagonal(covariance_with_camera(observations), axis1=2, axis2=3)))
+    return np.sqrt(nan_median(np.diagonal(covariance_with_camera(observations), axis1=2, axis2=3)))
 
 
 def _rests(observations: Observations) -> tuple[float, float]:

@@ -20,22 +20,11 @@ from typing import overload
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from onebend.learning import normal
 from onebend.learning.allowances import Sizes, patch_functions
 from onebend.learning.fit_data import FitData
-from onebend.learning.force_error import ForceError
 from onebend.learning.frames import whitened
 from onebend.learning.frequencies import FrequencyData, PredictedFrequencies, predicted_frequencies
-from onebend.learning.normal import (
-    BlockRoot,
-    InformationForm,
-    JointCovariance,
-    beside,
-    in_own_pages,
-    in_z,
-    solved_lower,
-    total,
-    unit_root,
-)
 from onebend.learning.parameters import Block, Layout
 from onebend.learning.prediction import Prediction, Slopes
 from onebend.learning.sites import Sites, first_site, is_shaped
@@ -70,9 +59,7 @@ class Hyperparameters:
     noise: tuple[RecordingNoise, ...]
     sizes: Sizes = field(default_factory=dict)  # of allowances whose size the evidence chooses; 1 where not named
     sites: Sites = field(default_factory=dict)  # of parameters whose priors are not normal; their moments where absent
-    white: float = (
-        1.0  # of the force error's white part, over what was expected; the data choose it of key frames alone
-    )
+    white: float = 1.0  # of the force error's white part, likewise; the data choose it of key frames alone
     chains: Array | None = None  # where the sampler's chains stand, see `normal.mean_part_variances`
 
     @property
@@ -112,7 +99,7 @@ class Prior:
 
     mean: Array  # (P,)
     parts: tuple[slice, ...]  # where the shared parameters stand, and those of each recording
-    roots: tuple[BlockRoot, ...]  # L of each part
+    roots: tuple[normal.BlockRoot, ...]  # L of each part
 
     def times(self, z: Array) -> Array:
         """(P, ...) `L z`."""
@@ -134,7 +121,7 @@ def prior(problem: FitProblem, hyperparameters: Hyperparameters, log_k: Array | 
     layout, h = problem.layout, hyperparameters
     mean, sd = np.zeros(layout.size), np.ones(layout.size)
 
-    def root_of(part: slice, inside: Sequence[Block]) -> BlockRoot:
+    def root_of(part: slice, inside: Sequence[Block]) -> normal.BlockRoot:
         blocks: list[tuple[slice, Array]] = []
         for block in inside:
             where, start, stop = block.where, block.where.start - part.start, block.where.stop - part.start
@@ -151,7 +138,7 @@ def prior(problem: FitProblem, hyperparameters: Hyperparameters, log_k: Array | 
                 mean[where], sd[where] = site or first_site(block, h.sizes.get(block.name, 1.0))
             else:
                 sd[where] = block.prior_sd * h.sizes.get(block.name, 1.0)
-        return BlockRoot(sd[part], tuple(blocks))
+        return normal.BlockRoot(sd[part], tuple(blocks))
 
     return Prior(mean, layout.parts, each(root_of, layout.parts, layout.free_blocks))
 
@@ -178,7 +165,7 @@ def log_k_map(problem: FitProblem) -> tuple[IntArray, Array]:
 class JointInformation:
     """Log likelihood of every recording, to second order."""
 
-    forms: tuple[InformationForm, ...]  # of each recording, over the shared parameters and its own
+    forms: tuple[normal.InformationForm, ...]  # of each recording, over the shared parameters and its own
     parts: tuple[slice, ...]  # where the shared parameters stand, and those of each recording
 
     @cached_property
@@ -199,11 +186,11 @@ class JointInformation:
 class Eliminated:
     """Parameters `y = m + L z`, integrated out: given the others x, the precision of z is `G G'`."""
 
-    root: BlockRoot  # L
+    root: normal.BlockRoot  # L
     factor: Array  # (n, n) G, lower triangular
     across: Array  # (n, k) `G^-1 L' H_yx`
     white: Array  # (n,) `G^-1 L' (b - H m)`
-    left: InformationForm  # of x; its noise includes the volume of y
+    left: normal.InformationForm  # of x; its noise includes the volume of y
 
     def given(self, x: Array, white: Array | float) -> Array:
         """(n, ...) z at others x, for right sides `white` (n, ...)."""
@@ -212,20 +199,22 @@ class Eliminated:
     def joint(self, others: Array) -> Array:
         """(k + n, k + n) covariance of the others, (k, k) `others`, and of y."""
         onto = -self.root.times(_upper(self.factor, self.across))
-        own, across = solved_lower(self.factor, self.root.dense().T), onto @ others
+        own, across = normal.solved_lower(self.factor, self.root.dense().T), onto @ others
         return np.block([[others, across.T], [across, own.T @ own + across @ onto.T]])
 
 
-def eliminated(form: InformationForm, mean: Array, root: BlockRoot, kept: int, damping: float = 0.0) -> Eliminated:
+def eliminated(
+    form: normal.InformationForm, mean: Array, root: normal.BlockRoot, kept: int, damping: float = 0.0
+) -> Eliminated:
     """All parameters of a form but the first `kept` integrated out; `damping` is added to the precision of z."""
     information, vector = form.matrix[kept:, kept:], form.vector[kept:]
     inside = root.around(information)
     inside[np.diag_indices(len(inside))] += 1.0 + damping
-    factor = in_own_pages(np.asarray(np.linalg.cholesky(inside), dtype=float))
+    factor = normal.in_own_pages(np.asarray(np.linalg.cholesky(inside), dtype=float))
     cross = form.matrix[kept:, :kept]
-    across = solved_lower(factor, root.transposed_times(cross))
-    white = solved_lower(factor, root.transposed_times(vector - information @ mean))
-    left = InformationForm(
+    across = normal.solved_lower(factor, root.transposed_times(cross))
+    white = normal.solved_lower(factor, root.transposed_times(vector - information @ mean))
+    left = normal.InformationForm(
         matrix=form.matrix[:kept, :kept] - across.T @ across,
         vector=form.vector[:kept] - cross.T @ mean - across.T @ white,
         constant=float(form.constant - 2.0 * vector @ mean + mean @ information @ mean - white @ white),
@@ -234,7 +223,9 @@ def eliminated(form: InformationForm, mean: Array, root: BlockRoot, kept: int, d
     return Eliminated(root, factor, across, white, left)
 
 
-def marginal(form: InformationForm, mean: Array, root: BlockRoot, kept: IntArray) -> InformationForm:
+def marginal(
+    form: normal.InformationForm, mean: Array, root: normal.BlockRoot, kept: IntArray
+) -> normal.InformationForm:
     """Information on the parameters `kept` (k,), the others integrated out under their prior, mean (n,) and root."""
     others = np.setdiff1d(np.arange(len(mean)), kept)
     order = np.concatenate([kept, others])
@@ -248,7 +239,7 @@ class Solved:
 
     before: Prior
     own: tuple[Eliminated, ...]  # of each recording
-    left: InformationForm  # of the shared parameters, those of each recording integrated out
+    left: normal.InformationForm  # of the shared parameters, those of each recording integrated out
     factor: Array  # (n, n) lower triangular: of the precision of the shared z
     white: Array  # (n,)
 
@@ -279,9 +270,9 @@ class Solved:
     def _whitened(self, v: Array) -> list[Array]:
         """`G^-1 v`, part by part, the shared parameters last; `G G' = A`, the precision of z."""
         parts, root = self.before.parts, self.before.roots[0]
-        white = [solved_lower(one.factor, v[part]) for one, part in zip(self.own, parts[1:], strict=True)]
+        white = [normal.solved_lower(one.factor, v[part]) for one, part in zip(self.own, parts[1:], strict=True)]
         known = sum((one.across.T @ w for one, w in zip(self.own, white, strict=True)), np.zeros_like(v[parts[0]]))
-        return [*white, solved_lower(self.factor, v[parts[0]] - root.transposed_times(known))]
+        return [*white, normal.solved_lower(self.factor, v[parts[0]] - root.transposed_times(known))]
 
     def solve(self, v: Array) -> Array:
         """(P, ...) `A^-1 v`, A being the precision of z."""
@@ -302,7 +293,7 @@ class Solved:
     @cached_property
     def of_shared(self) -> Array:
         """(n, n) covariance of the shared parameters."""
-        half = solved_lower(self.factor, self.before.roots[0].dense().T)
+        half = normal.solved_lower(self.factor, self.before.roots[0].dense().T)
         return half.T @ half
 
     def pair(self, number: int) -> Array:
@@ -310,9 +301,9 @@ class Solved:
         return self.own[number].joint(self.of_shared)
 
     @property
-    def covariance(self) -> JointCovariance:
+    def covariance(self) -> normal.JointCovariance:
         """Of the parameters."""
-        return JointCovariance(len(self.of_shared), _Pairs(self), self.before.parts)
+        return normal.JointCovariance(len(self.of_shared), _Pairs(self), self.before.parts)
 
 
 class _Pairs(Sequence[Array]):
@@ -345,27 +336,27 @@ def solved(data: JointInformation, before: Prior, damping: float = 0.0) -> Solve
     shared, count = before.parts[0], before.parts[0].stop
     means = [before.mean[part] for part in before.parts[1:]]
     own = each(partial(eliminated, kept=count, damping=damping), data.forms, means, before.roots[1:])
-    left, root, mean = total([one.left for one in own]), before.roots[0], before.mean[shared]
+    left, root, mean = normal.total([one.left for one in own]), before.roots[0], before.mean[shared]
     inside = root.around(left.matrix)
     inside[np.diag_indices(count)] += 1.0 + damping
     factor = np.asarray(np.linalg.cholesky(inside), dtype=float)
-    white = solved_lower(factor, root.transposed_times(left.vector - left.matrix @ mean))
+    white = normal.solved_lower(factor, root.transposed_times(left.vector - left.matrix @ mean))
     return Solved(before, own, left, factor, white)
 
 
-def own_in_z(form: InformationForm, before: Prior, number: int) -> InformationForm:
+def own_in_z(form: normal.InformationForm, before: Prior, number: int) -> normal.InformationForm:
     """The information of one recording, with z for its own parameters: independent of the damping."""
     part, shared = before.parts[1 + number], before.parts[0].stop
     mean = np.concatenate([np.zeros(shared), before.mean[part]])
-    own = in_z(form, mean, beside(unit_root(shared), before.roots[1 + number]))
-    return replace(own, matrix=in_own_pages(own.matrix))
+    own = normal.in_z(form, mean, normal.beside(normal.unit_root(shared), before.roots[1 + number]))
+    return replace(own, matrix=normal.in_own_pages(own.matrix))
 
 
 def prior_in_own_z(before: Prior) -> Prior:
     """The prior, with z for the parameters that each recording has of its own."""
     shared, first = before.parts[0], before.roots[0]
     mean = np.concatenate([before.mean[shared], np.zeros(len(before.mean) - shared.stop)])
-    return Prior(mean, before.parts, (first, *(unit_root(part.stop - part.start) for part in before.parts[1:])))
+    return Prior(mean, before.parts, (first, *(normal.unit_root(part.stop - part.start) for part in before.parts[1:])))
 
 
 def coupled(data: JointInformation, before: Prior, own: Sequence[IntArray]) -> tuple[JointInformation, Prior]:
@@ -376,10 +367,10 @@ def coupled(data: JointInformation, before: Prior, own: Sequence[IntArray]) -> t
     shared = before.parts[0]
     count = shared.stop if len(own) > 1 else 0
 
-    def of(form: InformationForm, part: slice, root: BlockRoot, mine: IntArray) -> InformationForm:
+    def of(form: normal.InformationForm, part: slice, root: normal.BlockRoot, mine: IntArray) -> normal.InformationForm:
         mean = np.concatenate([before.mean[shared], before.mean[part]])
         return marginal(
-            form, mean, beside(before.roots[0], root), np.concatenate([np.arange(count), shared.stop + mine])
+            form, mean, normal.beside(before.roots[0], root), np.concatenate([np.arange(count), shared.stop + mine])
         )
 
     forms = each(of, data.forms, before.parts[1:], before.roots[1:], own)
@@ -392,11 +383,10 @@ def coupled(data: JointInformation, before: Prior, own: Sequence[IntArray]) -> t
 
 
 def _upper(factor: Array, right: Array) -> Array:
-    return solved_lower(factor, right, across=True)
+    return normal.solved_lower(factor, right, across=True)
 
 
 _ROBUST = 6.0  # degrees of freedom of Student's t: weights of tags that fit badly
-_REST_SHARE = 0.1  # of the coloured force noise: what the knots cannot follow in the rests
 
 
 @dataclass(frozen=True)
@@ -489,7 +479,7 @@ def misfit(rows: ResidualRows, r: Array, noise: RecordingNoise) -> float:
 
 def tag_information(
     rows: ResidualRows, layout: Layout, number: int, x: Array, noise: RecordingNoise
-) -> InformationForm:
+) -> normal.InformationForm:
     """Log likelihood of one recording's tags at given noise, the frames' own forces integrated out.
 
     The information on the knots of the slow force error follows from that on the force:
@@ -514,7 +504,7 @@ def tag_information(
     spread = np.linalg.slogdet(np.eye(2) + (noise.force / noise.marker) ** 2 * rows.gram)[1]
     log_noise = float(np.sum(rows.known)) * np.log(noise.marker) + 0.5 * float(np.sum(spread))
     inside = _with_knots(slopes, dense, by_push, of_push)
-    return InformationForm(inside, tag_score(rows, y, noise), float(c), log_noise)
+    return normal.InformationForm(inside, tag_score(rows, y, noise), float(c), log_noise)
 
 
 def _with_knots(slopes: Slopes, dense: Array, by_push: Array, of_push: Array) -> Array:
@@ -545,26 +535,26 @@ def tag_score(rows: ResidualRows, r: Array, noise: RecordingNoise) -> Array:
     return slopes.with_knots(dense[:, None], by_push[..., None])[:, 0]
 
 
-def rest_information(problem: FitProblem, number: int) -> InformationForm:
+def rest_information(problem: FitProblem, number: int) -> normal.InformationForm:
     """Log likelihood of one force log in the rests, where the true force is zero, over its recording's parameters."""
     layout, error = problem.layout, problem.recordings[number].error
     count = len(layout.known_to(number))
     information, b = np.zeros((count, count)), np.zeros(count)
-    sd, values = _rest_sd(error), error.rest_values
+    sd, values = error.rest_sd, error.rest_values
     where = layout.columns("force", number)
     if where is None or len(values) == 0:
-        return InformationForm(information, b)
+        return normal.InformationForm(information, b)
     for axis in range(2):  # x and y in turn, alike
         information[where, where][axis::2, axis::2] = error.rest_gram / sd**2
     b[where] = (error.rest_weights.T @ values).ravel() / sd**2
-    return InformationForm(information, b, float(np.sum(values**2)) / sd**2, values.size * float(np.log(sd)))
+    return normal.InformationForm(information, b, float(np.sum(values**2)) / sd**2, values.size * float(np.log(sd)))
 
 
 def rest_residuals(data: FitData, layout: Layout, x: Array) -> Array:
     """(R, 2) of the force log in the rests at parameters x (P,), over its sd there."""
     error = data.error
     expected = error.rest_weights @ layout.get(x, "force", data.number).reshape(-1, 2)
-    return np.asarray((error.rest_values - expected) / _rest_sd(error))
+    return np.asarray((error.rest_values - expected) / error.rest_sd)
 
 
 def rest_score(data: FitData, layout: Layout, x: Array) -> Array:
@@ -572,13 +562,8 @@ def rest_score(data: FitData, layout: Layout, x: Array) -> Array:
     out, where = np.zeros(len(layout.known_to(data.number))), layout.columns("force", data.number)
     if where is not None:
         residuals = rest_residuals(data, layout, x)
-        out[where] = (data.error.rest_weights.T @ residuals).ravel() / _rest_sd(data.error)
+        out[where] = (data.error.rest_weights.T @ residuals).ravel() / data.error.rest_sd
     return out
-
-
-def _rest_sd(error: ForceError) -> float:
-    """N, of the log in the rests about its slow error."""
-    return _REST_SHARE * error.size
 
 
 def tool_rows(data: FitData, layout: Layout) -> tuple[Array, Array]:
@@ -611,24 +596,24 @@ def tool_score(data: FitData, layout: Layout, x: Array) -> Array:
     return np.asarray(rows.T @ (away - rows @ x[layout.known_to(data.number)]))
 
 
-def own_information(problem: FitProblem, number: int, x: Array) -> list[InformationForm]:
+def own_information(problem: FitProblem, number: int, x: Array) -> list[normal.InformationForm]:
     """Log likelihoods of one recording besides its tags, at parameters x (P,): rests, tool and natural frequencies."""
     known, out = problem.layout.known_to(number), [rest_information(problem, number)]
     rows, away = tool_rows(problem.recordings[number], problem.layout)
-    out.append(InformationForm(rows.T @ rows, rows.T @ away, float(away @ away)))
+    out.append(normal.InformationForm(rows.T @ rows, rows.T @ away, float(away @ away)))
     for predicted in problem.predicted_frequencies(x, number):
         j = predicted.slopes[:, known] / predicted.data.sd[:, None]
         y = predicted.residuals + j @ x[known]
         log_noise = float(np.sum(np.log(predicted.data.sd)))
-        out.append(InformationForm(j.T @ j, j.T @ y, float(y @ y), log_noise))
+        out.append(normal.InformationForm(j.T @ j, j.T @ y, float(y @ y), log_noise))
     return out
 
 
 def recording_information(
     problem: FitProblem, number: int, rows: ResidualRows, x: Array, noise: RecordingNoise
-) -> InformationForm:
+) -> normal.InformationForm:
     """Log likelihood of one recording's tags, rests, tool and frequencies."""
-    return total([tag_information(rows, problem.layout, number, x, noise), *own_information(problem, number, x)])
+    return normal.total([tag_information(rows, problem.layout, number, x, noise), *own_information(problem, number, x)])
 
 
 def data_information(
@@ -636,9 +621,9 @@ def data_information(
 ) -> JointInformation:
     """Log likelihood of all tags, rests and frequencies."""
 
-    def of(number: int, r: ResidualRows, noise: RecordingNoise) -> InformationForm:
+    def of(number: int, r: ResidualRows, noise: RecordingNoise) -> normal.InformationForm:
         form = recording_information(problem, number, r, x, noise)
-        return replace(form, matrix=in_own_pages(form.matrix))
+        return replace(form, matrix=normal.in_own_pages(form.matrix))
 
     return JointInformation(each(of, range(len(rows)), rows, hyperparameters.noise), problem.layout.parts)
 

@@ -10,11 +10,10 @@ import numpy as np
 
 from onebend.beam.stiffness import Profile
 from onebend.errors import LearningError
+from onebend.learning import condensed, frequencies, linear, normal, parameters, static_poses
 from onebend.learning.allowances import BETWEEN, EVERY_ALLOWANCE, Sizes, between_recordings
-from onebend.learning.condensed import worth
 from onebend.learning.fit_data import FitData, fit_data
 from onebend.learning.frames import chosen_frames, distances, evenly_spread, marker_rms
-from onebend.learning.frequencies import frequency_data
 from onebend.learning.hyperparameters import (
     Evidence,
     averaged_posterior,
@@ -25,35 +24,7 @@ from onebend.learning.hyperparameters import (
     new_noise,
     with_sites,
 )
-from onebend.learning.linear import (
-    FitProblem,
-    Hyperparameters,
-    JointInformation,
-    Prior,
-    RecordingNoise,
-    ResidualRows,
-    Solved,
-    data_information,
-    explained_by,
-    own_in_z,
-    own_information,
-    prior,
-    prior_in_own_z,
-    recording_information,
-    residual_rows,
-    residuals,
-    rest_residuals,
-    rest_score,
-    solved,
-    split_off_force,
-    tag_score,
-    tool_residuals,
-    tool_score,
-)
-from onebend.learning.normal import InformationForm, JointCovariance
-from onebend.learning.parameters import Layout, Spline, known_shape, make_layout
 from onebend.learning.prediction import Prediction, predict
-from onebend.learning.static_poses import pose_rms, unexplained
 from onebend.options import NOT_NEGATIVE, option
 from onebend.progress import Progress, Silent, each
 from onebend.records import CLAMP_SD, Array, BoolArray, Observations, covariance_with_camera, marker_words
@@ -79,7 +50,7 @@ class MapEstimate:
     """The most probable parameters found so far."""
 
     x: Array  # (P,)
-    hyperparameters: Hyperparameters
+    hyperparameters: linear.Hyperparameters
     predictions: tuple[Prediction, ...]  # of each recording at x
     steps: int = 0
     converged: bool = False
@@ -89,10 +60,10 @@ class MapEstimate:
 class _Linearised:
     """The problem about one estimate: z is the whitened parameters, see `Prior`."""
 
-    problem: FitProblem
+    problem: linear.FitProblem
     estimate: MapEstimate
-    before: Prior
-    rows: Sequence[ResidualRows]
+    before: linear.Prior
+    rows: Sequence[linear.ResidualRows]
 
     @cached_property
     def frequency_slopes(self) -> list[Array]:
@@ -101,19 +72,21 @@ class _Linearised:
         return [one.slopes / one.data.sd[:, None] for one in here]
 
     @cached_property
-    def in_own_z(self) -> tuple[JointInformation, Prior]:
+    def in_own_z(self) -> tuple[linear.JointInformation, linear.Prior]:
         """Information of all data and the prior, with each recording's own parameters in z."""
         problem, estimate = self.problem, self.estimate
 
-        def of(number: int, rows: ResidualRows, noise: RecordingNoise) -> InformationForm:
-            return own_in_z(recording_information(problem, number, rows, estimate.x, noise), self.before, number)
+        def of(number: int, rows: linear.ResidualRows, noise: linear.RecordingNoise) -> normal.InformationForm:
+            return linear.own_in_z(
+                linear.recording_information(problem, number, rows, estimate.x, noise), self.before, number
+            )
 
         forms = each(of, range(len(self.rows)), self.rows, estimate.hyperparameters.noise)
-        return JointInformation(forms, problem.layout.parts), prior_in_own_z(self.before)
+        return linear.JointInformation(forms, problem.layout.parts), linear.prior_in_own_z(self.before)
 
-    def solved(self, damping: float = 0.0) -> Solved:
+    def solved(self, damping: float = 0.0) -> linear.Solved:
         """The posterior of the linearised model in z; `damping` is added to its precision."""
-        return solved(*self.in_own_z, damping)
+        return linear.solved(*self.in_own_z, damping)
 
     @cached_property
     def slope(self) -> Array:
@@ -136,7 +109,11 @@ class _Linearised:
         gradient, layout = np.zeros(len(x)), self.problem.layout
         every = zip(self.problem.recordings, self.rows, r, self.estimate.hyperparameters.noise, strict=True)
         for data, rows, residual, noise in every:
-            score = tag_score(rows, residual, noise) + rest_score(data, layout, x) + tool_score(data, layout, x)
+            score = (
+                linear.tag_score(rows, residual, noise)
+                + linear.rest_score(data, layout, x)
+                + linear.tool_score(data, layout, x)
+            )
             gradient[layout.known_to(data.number)] += score
         if self.problem.frequencies:
             for slopes, there in zip(self.frequency_slopes, self.problem.predicted_frequencies(x), strict=True):
@@ -146,7 +123,7 @@ class _Linearised:
     def residuals_at(self, tried: MapEstimate) -> list[Array]:
         """(F, R) of each recording, the effect of each frame's own force included, weighted as here."""
         pairs = zip(self.rows, tried.predictions, strict=True)
-        return [rows.root_weight * residuals(p) + explained_by(rows.a, p.own) for rows, p in pairs]
+        return [rows.root_weight * linear.residuals(p) + linear.explained_by(rows.a, p.own) for rows, p in pairs]
 
     def cost(self, estimate: MapEstimate) -> float:
         """Minus twice the log posterior at the weights from here, but for a constant; infinite without equilibrium."""
@@ -157,9 +134,13 @@ class _Linearised:
         if not np.isfinite(swings):
             return np.inf
         every = zip(self.rows, estimate.predictions, estimate.hyperparameters.noise, strict=True)
-        tags = sum(_misfit(rows.root_weight * residuals(p), p.own, noise) for rows, p, noise in every)
+        tags = sum(_misfit(rows.root_weight * linear.residuals(p), p.own, noise) for rows, p, noise in every)
         z = self.before.whiten(x)
-        beside = [of(one, layout, x) for one in self.problem.recordings for of in (rest_residuals, tool_residuals)]
+        beside = [
+            of(one, layout, x)
+            for one in self.problem.recordings
+            for of in (linear.rest_residuals, linear.tool_residuals)
+        ]
         return float(tags + swings + z @ z + sum(float(np.sum(one**2)) for one in beside))
 
 
@@ -180,23 +161,23 @@ def _with_exact_slopes(estimate: MapEstimate) -> MapEstimate:
     return replace(estimate, predictions=tuple(exact))
 
 
-def rows_of(estimate: MapEstimate) -> list[ResidualRows]:
+def rows_of(estimate: MapEstimate) -> list[linear.ResidualRows]:
     """Rows of every recording, weighted by the noise of the estimate."""
-    return list(each(residual_rows, estimate.predictions, estimate.hyperparameters.noise))
+    return list(each(linear.residual_rows, estimate.predictions, estimate.hyperparameters.noise))
 
 
-def evidence_at(problem: FitProblem, estimate: MapEstimate) -> Evidence:
+def evidence_at(problem: linear.FitProblem, estimate: MapEstimate) -> Evidence:
     """Of the model that is linear about an estimate, with its noise."""
-    information = data_information(problem, rows_of(estimate), estimate.x, estimate.hyperparameters)
+    information = linear.data_information(problem, rows_of(estimate), estimate.x, estimate.hyperparameters)
     return Evidence(problem, information)
 
 
 def with_own_forces(estimate: MapEstimate) -> MapEstimate:
     """The estimate with each frame's own force at its most probable value; unchanged without equilibrium there."""
 
-    def settled(p: Prediction, noise: RecordingNoise) -> Prediction:
-        rows = residual_rows(p, noise, p.whitened_by_force)
-        return predict(p.data, p.layout, p.x, p.solved.q, split_off_force(rows, rows.r, noise)[1])
+    def settled(p: Prediction, noise: linear.RecordingNoise) -> Prediction:
+        rows = linear.residual_rows(p, noise, p.whitened_by_force)
+        return predict(p.data, p.layout, p.x, p.solved.q, linear.split_off_force(rows, rows.r, noise)[1])
 
     for _ in range(_OWN_PASSES):
         moved = each(settled, estimate.predictions, estimate.hyperparameters.noise)
@@ -207,7 +188,7 @@ def with_own_forces(estimate: MapEstimate) -> MapEstimate:
 
 
 def descend(
-    problem: FitProblem, estimate: MapEstimate, before: Prior, most_steps: int, tolerance: float
+    problem: linear.FitProblem, estimate: MapEstimate, before: linear.Prior, most_steps: int, tolerance: float
 ) -> MapEstimate:
     """The maximum a posteriori at the estimate's hyperparameters; robust weights are updated at every step.
 
@@ -253,7 +234,7 @@ def _with_slopes_kept(here: _Linearised, tried: MapEstimate) -> MapEstimate:
     """The trial; recordings whose tags moved nearly linearly keep the derivatives of its beginning."""
     step, layout = tried.x - here.estimate.x, here.problem.layout
 
-    def kept(rows: ResidualRows, now: Prediction, r: Array) -> Prediction:
+    def kept(rows: linear.ResidualRows, now: Prediction, r: Array) -> Prediction:
         moved = rows.moved_by(step[layout.known_to(now.data.number)])
         near = float(np.sum((r - rows.r + moved) ** 2)) <= _NEARLY_LINEAR**2 * float(np.sum(moved**2))
         return replace(now, nearby=rows.whitened) if near else now
@@ -292,16 +273,16 @@ def _moved(here: _Linearised, begin: MapEstimate, r: Sequence[Array], step: Arra
     """A trial after a step (P,) from one with residuals r, each frame's own force linearised."""
     x, layout = begin.x + step, here.problem.layout
 
-    def moved(rows: ResidualRows, residual: Array, now: Prediction, noise: RecordingNoise) -> Prediction:
+    def moved(rows: linear.ResidualRows, residual: Array, now: Prediction, noise: linear.RecordingNoise) -> Prediction:
         left = residual - rows.moved_by(step[layout.known_to(now.data.number)])
-        own = split_off_force(rows, left, noise)[1]
+        own = linear.split_off_force(rows, left, noise)[1]
         return predict(now.data, layout, x, now.solved.q, own)
 
     predictions = each(moved, here.rows, r, begin.predictions, begin.hyperparameters.noise)
     return replace(begin, x=x, predictions=predictions)
 
 
-def _misfit(residual: Array, own: Array, noise: RecordingNoise) -> float:
+def _misfit(residual: Array, own: Array, noise: linear.RecordingNoise) -> float:
     """Minus twice the log probability of residuals (F, R) and of the frames' own forces (F, 2)."""
     return float(np.sum(residual**2)) / noise.marker**2 + float(np.sum(own**2)) / noise.force**2
 
@@ -378,7 +359,7 @@ _LOST_FORCE = (
 )
 
 
-def refuse_lost_force(problem: FitProblem, estimate: MapEstimate) -> None:
+def refuse_lost_force(problem: linear.FitProblem, estimate: MapEstimate) -> None:
     """Check that the fitted error of some force log varies less than the corrected force.
 
     Raises:
@@ -438,10 +419,10 @@ class Optimum:
     """The posterior, and why the optimizer stopped."""
 
     x: Array  # (P,) log k's mean over its hyperparameters, and all else where it is most probable with that
-    covariance: JointCovariance
+    covariance: normal.JointCovariance
     jumps: Array  # (p - 1,) mean steps of log k from coefficient to coefficient, without the smooth part
     shape: Array  # (levels, S) of the bands of log k, see `UncertainStiffness`
-    hyperparameters: Hyperparameters
+    hyperparameters: linear.Hyperparameters
     sizes: tuple[Sizes, ...]  # of the allowances, equally probable: those that the posterior is averaged over
     predictions: tuple[Prediction, ...]
     log_evidence: float
@@ -450,7 +431,7 @@ class Optimum:
     stopped: str
 
 
-def estimate_at(problem: FitProblem, x: Array, shapes: Sequence[Array | None] | None = None) -> MapEstimate:
+def estimate_at(problem: linear.FitProblem, x: Array, shapes: Sequence[Array | None] | None = None) -> MapEstimate:
     """The estimate to begin with, at parameters x; `shapes`: (F, Q) of each recording at x, where they are known.
 
     Raises:
@@ -472,7 +453,7 @@ def estimate_at(problem: FitProblem, x: Array, shapes: Sequence[Array | None] | 
 
 
 def find_maximum(
-    problem: FitProblem, estimate: MapEstimate, settings: OptimizerSettings, progress: Progress
+    problem: linear.FitProblem, estimate: MapEstimate, settings: OptimizerSettings, progress: Progress
 ) -> MapEstimate:
     """The maximum a posteriori, from an estimate to begin with.
 
@@ -488,7 +469,7 @@ def find_maximum(
             most, tolerance = (
                 (settings.most_steps, settings.tolerance) if last else (_STEPS_ON_THE_WAY, settings.on_the_way)
             )
-            estimate = descend(problem, estimate, prior(problem, estimate.hyperparameters), most, tolerance)
+            estimate = descend(problem, estimate, linear.prior(problem, estimate.hyperparameters), most, tolerance)
             progress.advance()
             if last:
                 break
@@ -504,7 +485,7 @@ def find_maximum(
     return estimate
 
 
-def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: OptimizerSettings) -> Optimum:
+def laplace_posterior(problem: linear.FitProblem, estimate: MapEstimate, settings: OptimizerSettings) -> Optimum:
     """The posterior around the maximum, averaged over the hyperparameters that the data leave open."""
     hyperparameters = estimate.hyperparameters
     evidence = evidence_at(problem, estimate)
@@ -530,7 +511,7 @@ def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: Opti
     )
 
 
-def _likely(evidence: Evidence, hyperparameters: Hyperparameters) -> tuple[Sizes, ...]:
+def _likely(evidence: Evidence, hyperparameters: linear.Hyperparameters) -> tuple[Sizes, ...]:
     """Equally probable sizes of the allowances: few recordings leave the differences between mountings open."""
     sizes, few = hyperparameters.sizes, len(evidence.problem.recordings) <= _FEW
     if BETWEEN not in sizes or not few:
@@ -538,15 +519,15 @@ def _likely(evidence: Evidence, hyperparameters: Hyperparameters) -> tuple[Sizes
     return tuple({**sizes, BETWEEN: float(f)} for f in likely_sizes(evidence, hyperparameters, BETWEEN, _LIKELY))
 
 
-def _coarse(problem: FitProblem, predictions: Sequence[Prediction]) -> Hyperparameters:
+def _coarse(problem: linear.FitProblem, predictions: Sequence[Prediction]) -> linear.Hyperparameters:
     """The expected hyperparameters, with the tags' noise as large as their residuals: robust far from the maximum."""
-    sizes = [float(np.sqrt(np.mean(residuals(p) ** 2))) for p in predictions]
+    sizes = [float(np.sqrt(np.mean(linear.residuals(p) ** 2))) for p in predictions]
     pairs = zip(problem.expected.noise, sizes, strict=True)
     return replace(problem.expected, noise=tuple(replace(noise, marker=max(size, 1.5)) for noise, size in pairs))
 
 
 def _at_mean_stiffness(
-    problem: FitProblem, estimate: MapEstimate, log_k: Array, covariance: JointCovariance
+    problem: linear.FitProblem, estimate: MapEstimate, log_k: Array, covariance: normal.JointCovariance
 ) -> tuple[Array, tuple[Prediction, ...]]:
     """Log k at its mean (p,) and all else at its most probable value; the estimate itself if that fails."""
     p = problem.layout.spline.count
@@ -557,29 +538,29 @@ def _at_mean_stiffness(
         return estimate.x, estimate.predictions
     variances = np.full_like(estimate.hyperparameters.part_variances, _HELD_SD**2)
     held = replace(estimate.hyperparameters, part_variances=variances)
-    settled = descend(problem, MapEstimate(x, held, moved), prior(problem, held, log_k), 10, 0.1)
+    settled = descend(problem, MapEstimate(x, held, moved), linear.prior(problem, held, log_k), 10, 0.1)
     return (settled.x, settled.predictions) if settled.converged else (estimate.x, estimate.predictions)
 
 
-def _new_hyperparameters(problem: FitProblem, estimate: MapEstimate) -> Hyperparameters:
+def _new_hyperparameters(problem: linear.FitProblem, estimate: MapEstimate) -> linear.Hyperparameters:
     """Noise of every recording from its residuals, then all else by the evidence."""
     hyperparameters, rows = estimate.hyperparameters, rows_of(estimate)
     noise = each(new_noise, problem.recordings, rows, hyperparameters.noise, _spent(problem, estimate, rows))
     hyperparameters = replace(hyperparameters, noise=noise)
-    evidence = Evidence(problem, data_information(problem, rows, estimate.x, hyperparameters))
+    evidence = Evidence(problem, linear.data_information(problem, rows, estimate.x, hyperparameters))
     hyperparameters = replace(hyperparameters, sizes=choose_sizes(evidence, hyperparameters))
     hyperparameters = with_sites(evidence, hyperparameters)
     return choose_hyperparameters(evidence, hyperparameters)
 
 
-def _spent(problem: FitProblem, estimate: MapEstimate, rows: Sequence[ResidualRows]) -> tuple[float, ...]:
+def _spent(problem: linear.FitProblem, estimate: MapEstimate, rows: Sequence[linear.ResidualRows]) -> tuple[float, ...]:
     """Effective number of parameters of each recording: trace of its tags' information times the covariance."""
     x, hyperparameters = estimate.x, estimate.hyperparameters
-    data = data_information(problem, rows, x, hyperparameters)
-    posterior = solved(data, prior(problem, hyperparameters))
+    data = linear.data_information(problem, rows, x, hyperparameters)
+    posterior = linear.solved(data, linear.prior(problem, hyperparameters))
 
-    def of(number: int, form: InformationForm) -> float:
-        others = own_information(problem, number, x)
+    def of(number: int, form: normal.InformationForm) -> float:
+        others = linear.own_information(problem, number, x)
         return float(np.sum(posterior.pair(number) * (form.matrix - sum(one.matrix for one in others))))
 
     return each(of, range(len(rows)), data.forms)
@@ -625,28 +606,30 @@ def first_recordings(recordings: Sequence[Observations], settings: FitSettings) 
 
 def first_problem(
     recordings: Sequence[Observations], start: Profile | float, settings: FitSettings
-) -> tuple[FitProblem, Array]:
+) -> tuple[linear.FitProblem, Array]:
     """The problem with a few frames of some recordings, and the initial parameters (P,)."""
-    spline, most = Spline(settings.functions), min(settings.first_frames, settings.most_frames)
+    spline, most = parameters.Spline(settings.functions), min(settings.first_frames, settings.most_frames)
     data, layout = _prepared(recordings, [chosen_frames(o, most) for o in recordings], spline, settings)
     noise = tuple(expected_recording_noise(d) for d in data)
     x, level = starting(layout, start)
-    expected = Hyperparameters(layout.first_variances, 1.0, 1.0, 1.0, 1.0, noise)
-    return FitProblem(data, layout, level, expected, frequency_data(recordings, spline)), x
+    expected = linear.Hyperparameters(layout.first_variances, 1.0, 1.0, 1.0, 1.0, noise)
+    return linear.FitProblem(data, layout, level, expected, frequencies.frequency_data(recordings, spline)), x
 
 
-def whole_problem(recordings: Sequence[Observations], problem: FitProblem, settings: FitSettings) -> FitProblem:
+def whole_problem(
+    recordings: Sequence[Observations], problem: linear.FitProblem, settings: FitSettings
+) -> linear.FitProblem:
     """The problem with all frames of all recordings."""
     spline = problem.layout.spline
-    frames = each(lambda o: chosen_frames(o, min(settings.most_frames, worth(o))), recordings)
+    frames = each(lambda o: chosen_frames(o, min(settings.most_frames, condensed.worth(o))), recordings)
     data, layout = _prepared(recordings, frames, spline, settings)
     expected = replace(problem.expected, noise=tuple(expected_recording_noise(d) for d in data))
-    return FitProblem(data, layout, problem.level, expected, frequency_data(recordings, spline))
+    return linear.FitProblem(data, layout, problem.level, expected, frequencies.frequency_data(recordings, spline))
 
 
 def rewritten_problem(
-    recordings: Sequence[Observations], problem: FitProblem, settings: FitSettings, most: int | None = None
-) -> FitProblem:
+    recordings: Sequence[Observations], problem: linear.FitProblem, settings: FitSettings, most: int | None = None
+) -> linear.FitProblem:
     """The problem with the same frames of the same recordings, or `most` of them, described otherwise."""
     rows = [np.flatnonzero(one.frames) for one in problem.recordings]
     frames = [
@@ -657,10 +640,10 @@ def rewritten_problem(
 
 
 def _prepared(
-    recordings: Sequence[Observations], frames: Sequence[BoolArray], spline: Spline, settings: FitSettings
-) -> tuple[tuple[FitData, ...], Layout]:
+    recordings: Sequence[Observations], frames: Sequence[BoolArray], spline: parameters.Spline, settings: FitSettings
+) -> tuple[tuple[FitData, ...], parameters.Layout]:
     """Data of the recordings in these frames (T,) of each, and their parameters."""
-    known, allowances = known_shape(recordings), settings.allowances
+    known, allowances = parameters.known_shape(recordings), settings.allowances
 
     def of(number: int, o: Observations, mask: BoolArray) -> FitData:
         data = fit_data(o, number, mask, spline, allowances, known)
@@ -672,10 +655,10 @@ def _prepared(
     knots = [len(d.error.knots) for d in data]
     said = [] if settings.clamp_sd is None else [replace(o.stated, clamp_sd=settings.clamp_sd) for o in recordings]
     stated = [replace(o, stated=one) for o, one in zip(recordings, said, strict=True)] if said else list(recordings)
-    return data, make_layout(spline, stated, knots, [d.allowances for d in data])
+    return data, parameters.make_layout(spline, stated, knots, [d.allowances for d in data])
 
 
-def starting(layout: Layout, start: Profile | float) -> tuple[Array, float]:
+def starting(layout: parameters.Layout, start: Profile | float) -> tuple[Array, float]:
     """Parameters (P,) and the level of log k to begin with."""
     s = np.linspace(0.0, 1.0, 8 * layout.spline.count)
     k = np.full(len(s), float(start)) if isinstance(start, float | int) else np.asarray(start(s))
@@ -688,7 +671,7 @@ def starting(layout: Layout, start: Profile | float) -> tuple[Array, float]:
 
 
 def with_mass_found(
-    recordings: Sequence[Observations], problem: FitProblem, near: MapEstimate
+    recordings: Sequence[Observations], problem: linear.FitProblem, near: MapEstimate
 ) -> tuple[Sequence[Observations], MapEstimate]:
     """Recordings and estimate with a guessed mass replaced by the fitted one; its uneven parts are relative to it."""
     if not any(np.isfinite(o.stated.mass_sd) for o in recordings):
@@ -700,7 +683,9 @@ def with_mass_found(
     return heavier, replace(near, x=x)
 
 
-def carried_over(problem: FitProblem, near: MapEstimate, whole: FitProblem, some: list[int]) -> MapEstimate:
+def carried_over(
+    problem: linear.FitProblem, near: MapEstimate, whole: linear.FitProblem, some: list[int]
+) -> MapEstimate:
     """An estimate for all frames of all recordings, from that for a few frames of `some`. Own parameters of the others
     begin at their prior mean, their noise at the median."""
     x, found = np.zeros(whole.layout.size), near.hyperparameters
@@ -714,7 +699,7 @@ def carried_over(problem: FitProblem, near: MapEstimate, whole: FitProblem, some
         float(np.median(one)) for one in zip(*((f.marker, f.force / e.force) for f, e in pairs), strict=True)
     )
     noise = tuple(
-        found.noise[some.index(i)] if i in some else RecordingNoise(marker, force * before.force)
+        found.noise[some.index(i)] if i in some else linear.RecordingNoise(marker, force * before.force)
         for i, before in enumerate(whole.expected.noise)
     )
     shapes: list[Array | None] = [None] * len(whole.recordings)
@@ -743,8 +728,8 @@ _SAME = 1e-3  # of the length: poses whose tags are nearer are in one equilibriu
 
 
 def find_on_branches(
-    problem: FitProblem, estimate: MapEstimate, settings: OptimizerSettings, progress: Progress
-) -> tuple[FitProblem, MapEstimate]:
+    problem: linear.FitProblem, estimate: MapEstimate, settings: OptimizerSettings, progress: Progress
+) -> tuple[linear.FitProblem, MapEstimate]:
     """The maximum a posteriori from an estimate to begin with, and the problem without the poses that were left out."""
     if all(data.poses is None for data in problem.recordings):
         return problem, find_maximum(problem, estimate, settings, progress)
@@ -787,7 +772,9 @@ def _explained(prediction: Prediction) -> BoolArray:
     off = data.off(prediction.pose)
     if data.poses is None or len(off) == 1:
         return np.ones(len(off), dtype=bool)
-    return ~unexplained(np.where(_is_free(data), pose_rms(off), 0.0), data.observations.length)
+    return ~static_poses.unexplained(
+        np.where(_is_free(data), static_poses.pose_rms(off), 0.0), data.observations.length
+    )
 
 
 def _same(before: BoolArray, now: BoolArray, found: Prediction, again: Prediction) -> bool:

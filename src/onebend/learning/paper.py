@@ -7,31 +7,20 @@ from typing import Literal
 
 import numpy as np
 
-from onebend.beam.grid import Modes, Places, angles, apply, jacobians, make_grid, places, positions, powers_to_legendre
+from onebend.beam import grid
 from onebend.beam.model import Beam
 from onebend.beam.statics import Equilibrium
-from onebend.beam.stiffness import Gaussians, Powers, Profile, Uniform, equidistant, gaussian_basis, power_basis
+from onebend.beam.stiffness import Gaussians, Powers, Profile, by_legendre, equidistant, gaussian_basis, power_basis
 from onebend.errors import LearningError, MechanicsError
 from onebend.gauss_newton import Linearised, SearchLimits, most_probable
+from onebend.learning import frames as framing
 from onebend.learning.fit_data import AtRest, at_rest, beam_points
-from onebend.learning.frames import (
-    at_frames,
-    distances,
-    evenly_spread,
-    mass_profile,
-    nothing_moves,
-    push_places,
-    read_alone,
-    usable_frames,
-    whitened,
-    whitening,
-)
 from onebend.learning.outcome import Comparison, Learned, Notice, Trial
 from onebend.learning.parameters import NEEDS_MASS, weighs
 from onebend.learning.validation import marker_misfit, validate
 from onebend.options import option
 from onebend.progress import Progress, Silent, one_blas_thread, track
-from onebend.records import Array, BoolArray, IntArray, Observations, covariance_with_camera
+from onebend.records import Array, BoolArray, IntArray, Observations, covariance_with_camera, left_of, unit
 
 # Inverse kinematics (22) on all frames at once. Where a frame has fewer data than states, the shape of least curvature
 # is taken.
@@ -44,7 +33,7 @@ _LEAST_CURVATURE = 1e-3  # weight of the curvature energy against whitened data 
 class States:
     """Legendre states of every frame; NaN where a frame has no tag."""
 
-    modes: Modes
+    modes: grid.Modes
     theta: Array  # (T, n) rad
     covariance: Array  # (T, n, n) rad^2, from the tags' covariances
     theta0: Array  # (n,) rad, at rest
@@ -69,17 +58,17 @@ def solve_states(
     xy, tangent = beam_points(observations, rest)
     measured = np.concatenate([xy, tangent[..., None]], axis=-1)  # (T, m, 3)
     used = measured * np.array([1.0, 1.0, 1.0 if with_angles else np.nan])
-    whiten = whitening(used, covariance_with_camera(observations))
+    whiten = framing.whitening(used, covariance_with_camera(observations))
     data = np.asarray(np.sum(np.any(whiten != 0.0, axis=-1), axis=-1, dtype=float))  # (T, m)
     target = np.where(np.isfinite(measured), measured, 0.0)
-    at = places(observations.length, Modes(n), observations.marker_s)
+    at = grid.places(observations.length, grid.Modes(n), observations.marker_s)
     sd = np.sqrt((2.0 * np.arange(n) + 1.0) / _LEAST_CURVATURE)  # `int q^2 = sum theta_i^2 / (2 i + 1)`
 
     def linearise(rows: IntArray, theta: Array, _: Array) -> Linearised:
-        pose = np.concatenate([positions(at, theta), angles(at, theta)[..., None]], axis=-1)
+        pose = np.concatenate([grid.positions(at, theta), grid.angles(at, theta)[..., None]], axis=-1)
         turn = np.broadcast_to(at.to_places[None, :, None, :], (len(rows), len(at.s), 1, n))
-        slopes = np.concatenate([jacobians(at, theta), turn], axis=2)
-        both = whitened(whiten[rows], np.concatenate([slopes, (target[rows] - pose)[..., None]], axis=-1))
+        slopes = np.concatenate([grid.jacobians(at, theta), turn], axis=2)
+        both = framing.whitened(whiten[rows], np.concatenate([slopes, (target[rows] - pose)[..., None]], axis=-1))
         return Linearised(both[..., -1], both[..., :-1], np.ones(len(rows), dtype=bool), np.zeros((len(rows), 0)))
 
     theta = _start(at, target, data > 0, whiten)
@@ -89,7 +78,7 @@ def solve_states(
     theta, seen, root = found.x.copy(), np.any(data > 0, axis=1), found.root
     theta[~seen] = np.nan
     return States(
-        modes=Modes(n),
+        modes=grid.Modes(n),
         theta=theta,
         covariance=root @ np.swapaxes(root, 1, 2),
         theta0=rest.states(n),
@@ -99,7 +88,7 @@ def solve_states(
     )
 
 
-def _start(at: Places, target: Array, seen: BoolArray, whiten: Array) -> Array:
+def _start(at: grid.Places, target: Array, seen: BoolArray, whiten: Array) -> Array:
     """A first guess from angles: of the tags where used, of the chords between neighbouring tags otherwise.
 
     theta = 0 is a singular start (no curvature direction is preferred by positions on a straight beam).
@@ -122,7 +111,7 @@ def _start(at: Places, target: Array, seen: BoolArray, whiten: Array) -> Array:
 # their noise.
 
 Family = Literal["gaussians", "powers"]
-_GRID = make_grid(order=32)  # integrates polynomials up to degree 63 exactly
+_GRID = grid.make_grid(order=32)  # integrates polynomials up to degree 63 exactly
 _ROUNDING = 1e-9  # of a spectrum that adds up to the number of rows: below lies rounding, not knowledge
 
 
@@ -139,20 +128,20 @@ class MomentRows:
 
 def assemble(observations: Observations, states: States) -> MomentRows:
     """Rows of all T frames (NaN where a frame has no states). Equations (9)-(11)."""
-    grid, modes, length = _GRID, states.modes, observations.length
-    phi, a = modes.curvature(grid.nodes), modes.angle(grid.nodes)  # (Q, n)
+    on, modes, length = _GRID, states.modes, observations.length
+    phi, a = modes.curvature(on.nodes), modes.angle(on.nodes)  # (Q, n)
     q = (states.theta - states.theta0) @ phi.T
-    elastic = (grid.weights * q)[:, None, :] * phi.T
+    elastic = (on.weights * q)[:, None, :] * phi.T
     alpha = states.theta @ a.T
-    u = np.stack([np.cos(alpha), np.sin(alpha)], axis=-1)  # (T, Q, 2)
-    across = np.stack([-u[..., 1], u[..., 0]], axis=-1)
-    to_push = grid.integral_to(push_places(observations)[:, None])[:, 0]  # (T, Q)
+    u = unit(alpha)  # (T, Q, 2)
+    across = left_of(u)
+    to_push = on.integral_to(framing.push_places(observations)[:, None])[:, 0]  # (T, Q)
     load_per_force = length * np.einsum("tq,tqc,qi->tic", to_push, across, a, optimize=True)
     beyond = _weight_beyond(observations)  # (T, Q, 2)
     load = np.einsum("tic,tc->ti", load_per_force, observations.force)
-    load = load + length * np.einsum("tqc,tqc,qi->ti", grid.weights[:, None] * beyond, across, a, optimize=True)
+    load = load + length * np.einsum("tqc,tqc,qi->ti", on.weights[:, None] * beyond, across, a, optimize=True)
     along = to_push * np.einsum("tqc,tc->tq", u, observations.force)
-    along = along + grid.weights * np.einsum("tqc,tqc->tq", u, beyond)
+    along = along + on.weights * np.einsum("tqc,tqc->tq", u, beyond)
     geometric = length * np.einsum("tq,qi,qj->tij", along, a, a, optimize=True)
     return MomentRows(elastic, load, load_per_force, geometric, states)
 
@@ -178,7 +167,7 @@ def literal(rows: MomentRows, use: BoolArray, pi: Array) -> tuple[Array, float]:
 
 def literal_rows(rows: MomentRows, use: BoolArray, pi: Array) -> tuple[Array, Array]:
     """X (R, m) and Y (R,) as the paper writes them, with powers of s as test functions; n rows a frame."""
-    to_legendre = powers_to_legendre(rows.states.modes.n)
+    to_legendre = grid.powers_to_legendre(rows.states.modes.n)
     x = np.einsum("lj,tlq,qw->tjw", to_legendre, rows.elastic[use], pi, optimize=True).reshape(-1, pi.shape[1])
     return x, (rows.load[use] @ to_legendre).ravel()
 
@@ -261,8 +250,8 @@ def _weight_beyond(observations: Observations) -> Array:
         return np.zeros((len(observations.time), len(_GRID.nodes), 2))
     if not np.isfinite(observations.stated.mass):
         raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
-    line = observations.length * np.asarray(mass_profile(observations)(_GRID.nodes))
-    beyond = _GRID.weights @ line - apply(_GRID.integral_to_nodes, line)
+    line = observations.length * np.asarray(framing.mass_profile(observations)(_GRID.nodes))
+    beyond = _GRID.weights @ line - grid.apply(_GRID.integral_to_nodes, line)
     for one in observations.stated.masses:
         beyond = beyond + one.mass * (_GRID.nodes < one.s)
     return np.asarray(beyond[None, :, None] * observations.gravity[:, None, :])
@@ -354,10 +343,10 @@ def table(
         LearningError: the frames are too few for any.
     """
     observations = _fewer(observations, most_frames)
-    frames = usable_frames(observations)
+    frames = framing.usable_frames(observations)
     wanted = pairs(settings, len(observations.marker_s))
     needed = max(n + m for n, m in wanted)
-    if still := nothing_moves(observations):
+    if still := framing.nothing_moves(observations):
         raise LearningError(f"{observations.source.name}: {still}. Film a push, and let the force log cover it")
     if np.sum(frames) < needed:
         raise LearningError(
@@ -380,10 +369,10 @@ def table(
 
 def _fewer(observations: Observations, most: int) -> Observations:
     """At most so many of the usable frames of a film."""
-    frames = np.flatnonzero(usable_frames(observations)).astype(np.int64)
+    frames = np.flatnonzero(framing.usable_frames(observations)).astype(np.int64)
     if observations.static or len(frames) <= most:
         return observations
-    return at_frames(observations, evenly_spread(frames, most, len(observations.time)))
+    return framing.at_frames(observations, framing.evenly_spread(frames, most, len(observations.time)))
 
 
 def _compared(observations: Observations, frames: BoolArray) -> BoolArray:
@@ -391,8 +380,8 @@ def _compared(observations: Observations, frames: BoolArray) -> BoolArray:
     if observations.static:
         return frames
     rows = np.flatnonzero(frames).astype(np.int64)
-    chosen = evenly_spread(rows, _SIMULATED, len(frames))
-    chosen[rows[np.argmax(distances(observations.force[rows]))]] = True
+    chosen = framing.evenly_spread(rows, _SIMULATED, len(frames))
+    chosen[rows[np.argmax(framing.distances(observations.force[rows]))]] = True
     return chosen
 
 
@@ -453,23 +442,18 @@ def _try(
     seen = np.isfinite(rms)
     if not seen.any():
         return Candidate(replace(trial, why_out=_SNAPS), beam)
-    observed = int(np.sum(np.isfinite(observations.xy[usable_frames(observations)])))
+    observed = int(np.sum(np.isfinite(observations.xy[framing.usable_frames(observations)])))
     bic = information_criterion(rms[seen], observed, n + m, settings.bic)
     return Candidate(replace(trial, rms=rms, bic=bic), beam, solved)
 
 
 def make_beam(observations: Observations, states: States, stiffness: Profile) -> Beam:
     """The learned beam: stiffness, rest curvature and the mass as it is written down."""
-    theta0 = states.theta0
-    curvature: Profile = Uniform(0.0)
-    if np.any(theta0 != 0.0):
-        powers = np.linalg.solve(powers_to_legendre(len(theta0)), theta0)
-        curvature = Powers(tuple(float(c) for c in powers))
     return Beam(
         observations.length,
         stiffness,
-        rest_curvature=curvature,
-        mass_per_length=mass_profile(observations),
+        rest_curvature=by_legendre(states.theta0),
+        mass_per_length=framing.mass_profile(observations),
         masses=observations.stated.masses,
     )
 
@@ -487,7 +471,7 @@ def regress(
     Raises:
         LearningError: too few loaded frames, or no (n, m) gives a beam that can be simulated.
     """
-    observations = read_alone(observations)
+    observations = framing.read_alone(observations)
     rest = at_rest(observations)
     candidates = table(observations, rest, settings, progress, most_frames)
     chosen, training = standing(candidates, observations, rest)

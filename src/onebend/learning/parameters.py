@@ -10,27 +10,14 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.linalg import null_space
 
+from onebend import records
 from onebend.beam.section import moment_errors, relative_moment
 from onebend.beam.stiffness import LogSpline, Polyline, Profile, Uniform
 from onebend.errors import LearningError
 from onebend.learning.allowances import ANYTHING, BETWEEN, EFFECTS, TOLERATED, Allowance
 from onebend.learning.frames import zeroed_coordinates
 from onebend.recording.beam_frame import MOUNTING_SD
-from onebend.records import (
-    CLAMP_SD,
-    CURVATURE_SD,
-    DIRECTION_SD,
-    PLACE_SD,
-    SCALE_SD,
-    TURN_SD,
-    Array,
-    IntArray,
-    MassAlong,
-    Observations,
-    StatedSection,
-    StiffnessAlong,
-    tags_among,
-)
+from onebend.records import Array
 
 # Stated shape of k: log k(s) = o(s) + l + e(s) + v(s). o is log I(s) of the section less its mean (zero for an "even"
 # k), l one level, e the effect of errors of the section's sizes, v a slow variation of the modulus: a Gaussian process
@@ -45,7 +32,7 @@ _PLACES = np.linspace(0.0, 1.0, 201)
 class KnownShape:
     """How k varies along the beam but for a factor, as stated."""
 
-    section: StatedSection | None  # whose second moment k goes with; None: k is one number
+    section: records.StatedSection | None  # whose second moment k goes with; None: k is one number
     varies: float  # one sd of the slow variation of log k
 
     @cached_property
@@ -78,7 +65,7 @@ class KnownShape:
         return np.stack(columns, axis=1) if columns else np.zeros((len(s), 0))
 
 
-def with_shared_shape(recordings: Sequence[Observations]) -> Sequence[Observations]:
+def with_shared_shape(recordings: Sequence[records.Observations]) -> Sequence[records.Observations]:
     """The recordings of a beam, each with what one of them states of its shape.
 
     Raises:
@@ -87,14 +74,14 @@ def with_shared_shape(recordings: Sequence[Observations]) -> Sequence[Observatio
     known = known_shape(recordings)
     if known is None:
         return recordings
-    along: StiffnessAlong = "even" if known.section is None else "section"
+    along: records.StiffnessAlong = "even" if known.section is None else "section"
     out = [replace(o.stated, stiffness_along=along, modulus_varies=known.varies) for o in recordings]
     if known.section is not None:
         out = [replace(stated, section=known.section) for stated in out]
     return [replace(o, stated=stated) for o, stated in zip(recordings, out, strict=True)]
 
 
-def known_shape(recordings: Sequence[Observations]) -> KnownShape | None:
+def known_shape(recordings: Sequence[records.Observations]) -> KnownShape | None:
     """The stated shape of k, from any recording of the beam; None where nothing is stated.
 
     Raises:
@@ -148,14 +135,6 @@ class Spline:
         """(count, ...) coefficients of the least squares nearest to a function of places s (S,), (S, ...)."""
         s = np.linspace(0.0, 1.0, 8 * self.count)
         return np.asarray(np.linalg.lstsq(self.basis(s), function(s), rcond=None)[0])
-
-    def precision(self, tau: float, rho: float) -> Array:
-        """(count, count) of the coefficients' prior: a smooth part of roughness tau plus steps of size rho."""
-        return self.precision_of(self.variances(tau, rho))
-
-    def precision_of(self, variances: Array) -> Array:
-        """(count, count) of the coefficients' prior, from the variances (n,) of its parts."""
-        return np.asarray(np.linalg.inv((self.parts * variances) @ self.parts.T))
 
     def variances(self, tau: float | Array, rho: float | Array) -> Array:
         """`tau.shape + (n,)` of the parts: level, slope, the smooth part's `count - 2`, `count - 1` steps, no bumps."""
@@ -249,20 +228,20 @@ class LearnedMass:
     even_sd: float  # kg
     written: float  # kg, as recording.toml says; NaN where it does not
     identified: bool  # the data said more of it than was known
-    along: MassAlong = "unknown"  # how it is spread, as stated
+    along: records.MassAlong = "unknown"  # how it is spread, as stated
 
 
-def weighs(observations: Observations) -> bool:
+def weighs(observations: records.Observations) -> bool:
     """Whether the beam's own weight bends it in the plane."""
     return bool(np.any(observations.gravity != 0.0))
 
 
-def needs_mass(observations: Observations) -> bool:
+def needs_mass(observations: records.Observations) -> bool:
     """Whether its mass counts: it weighs, or was seen to swing."""
     return weighs(observations) or bool(observations.frequencies)
 
 
-def _alike(recordings: Sequence[Observations]) -> Sequence[Observations]:
+def _alike(recordings: Sequence[records.Observations]) -> Sequence[records.Observations]:
     """The recordings, each with the spread of the mass that one of them states."""
     said = sorted({o.stated.mass_along for o in recordings} - {"unknown"})
     if len(said) > 1:
@@ -271,12 +250,12 @@ def _alike(recordings: Sequence[Observations]) -> Sequence[Observations]:
     return [replace(o, stated=replace(o.stated, mass_along=said[0])) for o in recordings] if said else recordings
 
 
-def mass_is_open(recordings: Sequence[Observations]) -> bool:
+def mass_is_open(recordings: Sequence[records.Observations]) -> bool:
     """Whether the mass counts and no recording of the beam says it."""
     return any(needs_mass(o) for o in recordings) and not any(np.isfinite(o.stated.mass) for o in recordings)
 
 
-def check_mass_can_be_learned(recordings: Sequence[Observations]) -> None:
+def check_mass_can_be_learned(recordings: Sequence[records.Observations]) -> None:
     """Raises `LearningError` where the data hold only the ratio of stiffness to mass."""
     carries = any(one.tip_mass > 0.0 for o in recordings for one in o.frequencies)
     if carries or not mass_is_open(recordings) or any(forced(o) for o in recordings):
@@ -295,13 +274,13 @@ def check_mass_can_be_learned(recordings: Sequence[Observations]) -> None:
     )
 
 
-def forced(observations: Observations) -> bool:
+def forced(observations: records.Observations) -> bool:
     """Whether something other than the beam's own weight acts on it."""
     hung = observations.known_loads is not None or (weighs(observations) and bool(observations.stated.masses))
     return bool(np.nanmax(np.abs(observations.force), initial=0.0) > 0.0) or hung
 
 
-def shared_mass(recordings: Sequence[Observations], guess: float = np.nan) -> tuple[Observations, ...]:
+def shared_mass(recordings: Sequence[records.Observations], guess: float = np.nan) -> tuple[records.Observations, ...]:
     """The recordings, those without a mass with that of the others; where none says it, with a `guess` [kg]."""
     recordings = _alike(recordings)
     known = [o.stated for o in recordings if np.isfinite(o.stated.mass)]
@@ -419,7 +398,7 @@ class Layout:
         ends = np.cumsum(counts).tolist()
         return tuple(slice(end - count, end) for count, end in zip(counts, ends, strict=True))
 
-    def known_to(self, recording: int) -> IntArray:
+    def known_to(self, recording: int) -> records.IntArray:
         """Indices of the parameters that one recording depends on: the shared ones and its own."""
         own = self.parts[1 + recording]
         return np.concatenate([np.arange(self.shared), np.arange(own.start, own.stop)])
@@ -435,7 +414,7 @@ class StatedError:
     unit: str
     labels: tuple[str, ...]  # "{tag}" stands for each tag
     # The field of `Stated` that states it, or the sds of recordings: of all where they share it, else of one.
-    stated: str | Callable[[Sequence[Observations]], float | Array]
+    stated: str | Callable[[Sequence[records.Observations]], float | Array]
     usual: float = 0.0  # where nobody states it; 0: frozen
     shared: bool = False
     of_push: bool = False  # nothing without a push
@@ -450,7 +429,7 @@ class StatedError:
         """Of `Instruments`, its sd."""
         return "placement_sd" if self.name in ("along", "across") else f"{self.name}_sd"
 
-    def allowance(self, recordings: Sequence[Observations], tags: Sequence[str]) -> Allowance:
+    def allowance(self, recordings: Sequence[records.Observations], tags: Sequence[str]) -> Allowance:
         """As these recordings state it, of these tags."""
         one, within = recordings[0], ANYTHING
         if self.name == "place":  # hardly beyond the tip
@@ -473,7 +452,7 @@ class StatedError:
         return replace(own, sizes=TOLERATED, together=True)
 
 
-def clamp_sd(one: Observations) -> float:
+def clamp_sd(one: records.Observations) -> float:
     """rad, prior sd of the clamp's direction in the recording's frame; 0 freezes it.
 
     The frame's x axis is the line through the tags at rest, so twice the spread of their places is added. Where the
@@ -482,33 +461,33 @@ def clamp_sd(one: Observations) -> float:
     stated = one.stated.clamp_sd
     if stated == 0.0 or (one.static and np.isfinite(stated)):
         return stated
-    own = stated if np.isfinite(stated) else CLAMP_SD
+    own = stated if np.isfinite(stated) else records.CLAMP_SD
     reach = one.length * one.marker_s[np.isfinite(one.rest_xy).all(axis=1)]
     if curvature_sd(one) > 0.0 or not np.any(reach > 0.0):
         return float(np.hypot(own, MOUNTING_SD))
     return float(np.hypot(own, 2.0 * one.stated.placement_sd / np.linalg.norm(reach)))
 
 
-def curvature_sd(one: Observations) -> float:
+def curvature_sd(one: records.Observations) -> float:
     """rad, of the Legendre states of q0 before the data; 0 where the beam is straight at rest."""
     return 0.0 if one.stated.rest == "straight" else one.stated.curvature_sd
 
 
-def scale_sd(one: Observations) -> float:
+def scale_sd(one: records.Observations) -> float:
     """Of lengths in the picture before the data; a calibration gives them exactly, unless the recording says other."""
     if one.source.view is None:
         return 0.0
-    usual = 0.0 if one.source.view.calibrated else SCALE_SD
+    usual = 0.0 if one.source.view.calibrated else records.SCALE_SD
     return one.stated.scale_sd if np.isfinite(one.stated.scale_sd) else usual
 
 
-def _clock_sd(one: Observations) -> float:
+def _clock_sd(one: records.Observations) -> float:
     if one.source.clock is None:
         return 0.0
     return _CLOCK_DOUBT * float(one.source.clock.sd) if np.isfinite(one.source.clock.sd) else 1.0
 
 
-def _mass_sds(recordings: Sequence[Observations]) -> float | Array:
+def _mass_sds(recordings: Sequence[records.Observations]) -> float | Array:
     """Of a mass that is guessed or written down, over itself, and of its parts, which are free where it is exact."""
     if not any(needs_mass(r) for r in recordings):
         return 0.0
@@ -528,24 +507,24 @@ _MASS = ("mass", "mass slope", "mass bow", "mass third")
 _DIRECTION, _AXES = "direction of the force", ("force axes",)
 
 
-def _of_one(sd: Callable[[Observations], float]) -> Callable[[Sequence[Observations]], float]:
+def _of_one(sd: Callable[[records.Observations], float]) -> Callable[[Sequence[records.Observations]], float]:
     """The largest; of one recording its own."""
     return lambda recordings: max(sd(one) for one in recordings)
 
 
 _TAGS, _CLAMP, _PLACED = "places of the tags", "clamp and origin", "placement_sd"
 STATED_ERRORS = (
-    StatedError("curvature", "rest shape", "rad", _REST, _of_one(curvature_sd), CURVATURE_SD, shared=True),
+    StatedError("curvature", "rest shape", "rad", _REST, _of_one(curvature_sd), records.CURVATURE_SD, shared=True),
     StatedError("mass", "mass", "1", _MASS, _mass_sds, _MASS_SD, shared=True),
     StatedError("along", _TAGS, "m", ("{tag} along",), _PLACED, _PLACEMENT_SD, shared=True),
     StatedError("across", _TAGS, "m", ("{tag} across",), _PLACED, _PLACEMENT_SD, shared=True),
-    StatedError("turn", _TAGS, "rad", ("{tag} turn",), "turn_sd", TURN_SD, shared=True),
-    StatedError("clamp", _CLAMP, "rad", ("clamp angle",), _of_one(clamp_sd), CLAMP_SD),
+    StatedError("turn", _TAGS, "rad", ("{tag} turn",), "turn_sd", records.TURN_SD, shared=True),
+    StatedError("clamp", _CLAMP, "rad", ("clamp angle",), _of_one(clamp_sd), records.CLAMP_SD),
     StatedError("origin", _CLAMP, "m", ("origin x", "origin y"), _PLACED, _PLACEMENT_SD),
     StatedError("scale", "camera", "1", ("camera scale",), _of_one(scale_sd)),
     StatedError("clock", "clock", "s", ("clock offset",), _of_one(_clock_sd)),
-    StatedError("place", "place of the push", "m", ("push place",), "place_sd", PLACE_SD, of_push=True),
-    StatedError("direction", _DIRECTION, "rad", _AXES, "direction_sd", DIRECTION_SD, of_push=True),
+    StatedError("place", "place of the push", "m", ("push place",), "place_sd", records.PLACE_SD, of_push=True),
+    StatedError("direction", _DIRECTION, "rad", _AXES, "direction_sd", records.DIRECTION_SD, of_push=True),
 )
 
 
@@ -559,12 +538,12 @@ def groups() -> dict[str, tuple[str, ...]]:
 
 def make_layout(
     spline: Spline,
-    recordings: list[Observations],
+    recordings: list[records.Observations],
     knots: list[int],
     allowances: Sequence[Sequence[Allowance]] = (),
 ) -> Layout:
     """The layout for several recordings, with the `knots` of the force error and the `allowances` of each."""
-    tags = [f"tag {i}" for i in recordings[0].tag_id[tags_among(recordings[0])]]
+    tags = [f"tag {i}" for i in recordings[0].tag_id[records.tags_among(recordings[0])]]
     shared = {a.name: a for own in allowances for a in own if a.shared}
     wanted = [(-1, error.allowance(recordings, tags)) for error in STATED_ERRORS if error.shared]
     wanted += [(-1, a) for a in shared.values()]
@@ -605,18 +584,18 @@ def inside(name: str, unit: str, sd: float, labels: tuple[str, ...]) -> Allowanc
     return Allowance(name, "bench", unit, labels, np.full(len(labels), sd))
 
 
-def rest_change_sd(recordings: Sequence[Observations], r: int) -> float:
+def rest_change_sd(recordings: Sequence[records.Observations], r: int) -> float:
     """rad, of the Legendre states of q0 of one recording; 0 for one recording alone, or an unchanged rest."""
     return recordings[r].stated.rest_change_sd if len(recordings) > 1 else 0.0
 
 
-def _ends(one: Observations, *what: str) -> tuple[str, ...]:
+def _ends(one: records.Observations, *what: str) -> tuple[str, ...]:
     """Labels of the ends that an unknown wrench holds, pose by pose."""
     held = np.zeros(0, dtype=int) if one.held is None else np.flatnonzero(one.held)
     return tuple(f"held end {i + 1} {name}" for i in held.tolist() for name in what)
 
 
-def _zeros(one: Observations) -> tuple[str, ...]:
+def _zeros(one: records.Observations) -> tuple[str, ...]:
     """Labels of the readings that count from a zero of their own."""
     return tuple(f"zero of point {one.tag_id[i]} {'xy'[c]}" for i, c in zeroed_coordinates(one))
 

@@ -11,33 +11,27 @@ from typing import Literal
 
 import numpy as np
 
-from onebend.beam.grid import Modes, powers_to_legendre
+from onebend.beam.grid import Modes
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import SHAPE_PLACES, Band, Powers, Profile, Scaled, Table, UncertainStiffness, Uniform
+from onebend.beam.stiffness import SHAPE_PLACES, Band, Profile, Scaled, Table, UncertainStiffness, Uniform, by_legendre
 from onebend.errors import LearningError
-from onebend.learning import optimizer
+from onebend.learning import attribution, frames, hyperparameters, linear, normal, optimizer, prediction
 from onebend.learning.allowances import BETWEEN, BETWEEN_SD, SHARES
-from onebend.learning.attribution import Attribution, Contradiction, attributions, contradictions, doubt_of
 from onebend.learning.condensed import condensed
 from onebend.learning.criticism import Criticism, criticise
 from onebend.learning.fit_data import FitData, following
-from onebend.learning.frames import check_same_beam, mass_profile, read_alone
 from onebend.learning.frequencies import GROSS, PredictedFrequencies, worst_off
-from onebend.learning.hyperparameters import SPREAD
-from onebend.learning.linear import FitProblem, log_k_map
-from onebend.learning.normal import JointCovariance
 from onebend.learning.parameters import KNOWN, LEARNED, Block, Layout, LearnedMass, with_shared_shape
-from onebend.learning.prediction import Prediction, predict, secant_of
 from onebend.learning.push_place import FAR, PlaceSearch, doubtful, moved_off, search_place, with_places
 from onebend.learning.start import start_of
 from onebend.progress import Progress, Silent, one_blas_thread
 from onebend.records import Array, BoolArray, Observations, PointMass, tags_among
 
 
-def stiffness_of(problem: FitProblem, optimum: optimizer.Optimum, gain_sd: float) -> UncertainStiffness:
+def stiffness_of(problem: linear.FitProblem, optimum: optimizer.Optimum, gain_sd: float) -> UncertainStiffness:
     """k(s) and its band at an optimum, with the stiffening by tags and the unknown places of steps between knots."""
     layout = problem.layout
-    fine, (index, onto) = layout.spline.finer, log_k_map(problem)
+    fine, (index, onto) = layout.spline.finer, linear.log_k_map(problem)
     covariance = optimum.covariance.of_shared[np.ix_(index, index)]
     patches = slice(layout.spline.count, None)
     covariance[patches, patches] += unknown_width(optimum.x[index[patches]], covariance[patches, patches])
@@ -75,7 +69,7 @@ def unknown_width(patches: Array, covariance: Array) -> Array:
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
-def prior_part(problem: FitProblem, optimum: optimizer.Optimum, s: Array) -> Array:
+def prior_part(problem: linear.FitProblem, optimum: optimizer.Optimum, s: Array) -> Array:
     """(S, S) the part of log k's covariance at `s` that comes from the prior. The fit's log k is off by `C P^-1 (m -
     k)`, plus the effect of errors of the data; C is the covariance, P and m the prior's. Over the prior's beams the
     first has covariance `C P^-1 C`. A second recording of a like beam shares it. P has the mean sizes of the prior's
@@ -137,7 +131,7 @@ def learned_mass(
     data: Sequence[FitData],
     layout: Layout,
     mean: Array,
-    covariance: JointCovariance,
+    covariance: normal.JointCovariance,
     stiffness: UncertainStiffness,
     gain_sd: float,
 ) -> LearnedMass | None:
@@ -178,11 +172,11 @@ def mass_per_length(data: Sequence[FitData], layout: Layout, mean: Array, stiffn
         return along
     even = weighed.stated.mass / weighed.length
     if weighed.stated.mass_along in ("section", "table"):
-        return Scaled(1.0 + float(change[0]), mass_profile(weighed))
+        return Scaled(1.0 + float(change[0]), frames.mass_profile(weighed))
     if weighed.stated.mass_line is None:
-        return from_legendre(even * (np.array([1.0, 0.0, 0.0, 0.0]) + change))
+        return by_legendre(even * (np.array([1.0, 0.0, 0.0, 0.0]) + change))
     s = np.unique(np.concatenate([np.linspace(0.0, 1.0, 101), weighed.stated.mass_line.s]))
-    value = mass_profile(weighed)(s) + even * Modes(len(change)).curvature(s) @ change
+    value = frames.mass_profile(weighed)(s) + even * Modes(len(change)).curvature(s) @ change
     return Table(tuple(s.tolist()), tuple(value.tolist()))
 
 
@@ -190,13 +184,6 @@ def riding_masses(data: Sequence[FitData]) -> tuple[PointMass, ...]:
     """What rides on the beam in every recording of it."""
     first, *others = (one.observations.stated.masses for one in data)
     return tuple(one for one in first if all(one in masses for masses in others))
-
-
-def from_legendre(states: Array) -> Profile:
-    """The profile with these Legendre coefficients."""
-    if np.all(states[1:] == 0.0):
-        return Uniform(float(states[0]))
-    return Powers(tuple(np.linalg.solve(powers_to_legendre(len(states)), states).tolist()))
 
 
 def _weighed(data: Sequence[FitData]) -> Observations | None:
@@ -230,7 +217,7 @@ def quantities(block: Block, data: Sequence[FitData]) -> Quantities:
     rows = np.stack([np.mean(weights, axis=0), time @ weights / max(float(time @ time), 1e-300)])
     whose = block.labels[0].rpartition(": ")[0]
     names = tuple(f"{whose}: {what} {axis}" for what in ("mean force error", "force drift") for axis in "xy")
-    coloured, _, walk, load = np.exp(SPREAD**2).tolist()  # root mean squares of log-normal factors
+    coloured, _, walk, load = np.exp(hyperparameters.SPREAD**2).tolist()  # root mean squares of log-normal factors
     prior = one.error.covariance(coloured, 1.0, walk, load)
     before = np.sqrt(np.einsum("rk,kl,rl->r", rows, prior, rows))
     return Quantities(names, ("N", "N", "N/s", "N/s"), np.kron(rows, np.eye(2)), np.repeat(before, 2))
@@ -258,7 +245,7 @@ class Nuisance:
 class Posterior:
     """What the data and the priors say about the beam."""
 
-    problem: FitProblem
+    problem: linear.FitProblem
     optimum: optimizer.Optimum
     gain_sd: float  # of the force's common scale, as declared; 0 where it was not
     criticism: Criticism  # whether the model holds
@@ -283,15 +270,15 @@ class Posterior:
         return self.optimum.x
 
     @property
-    def covariance(self) -> JointCovariance:
+    def covariance(self) -> normal.JointCovariance:
         """Of the parameters (Laplace)."""
         return self.optimum.covariance
 
     @cached_property
-    def slow(self) -> tuple[Prediction, ...]:
+    def slow(self) -> tuple[prediction.Prediction, ...]:
         """The tags of every recording under the logged force less its slow error, each frame's own error left in."""
         pairs = zip(self.recordings, self.optimum.predictions, strict=True)
-        return tuple(predict(recording, self.layout, self.mean, now.solved.q) for recording, now in pairs)
+        return tuple(prediction.predict(recording, self.layout, self.mean, now.solved.q) for recording, now in pairs)
 
     @cached_property
     def frequencies(self) -> tuple[PredictedFrequencies, ...]:
@@ -323,24 +310,24 @@ class Posterior:
             doubts.append("the frequencies contradict the fit")
         doubts += self.weight_doubts
         doubts += [f"the validation on {name} misses by far more than is likely" for name in self.contradicted_by]
-        if self.optimum.converged and not self.misses and (doubt := doubt_of(self.contradictions)):
+        if self.optimum.converged and not self.misses and (doubt := attribution.doubt_of(self.contradictions)):
             doubts.append(doubt)
         for o in (recording.observations for recording in self.recordings):
             doubts += [f"{o.source.name}: {words}" if several else words for words in optimizer.doubts_of(o)]
         return tuple(doubts)
 
     @cached_property
-    def contradictions(self) -> tuple[Contradiction, ...]:
+    def contradictions(self) -> tuple[attribution.Contradiction, ...]:
         """What recording, description and model disagree on, with its size; the largest first."""
         known = stiffness_of(self.problem, self.optimum, self.gain_sd)
-        return contradictions(self.problem, self.optimum, self.criticism, known)
+        return attribution.contradictions(self.problem, self.optimum, self.criticism, known)
 
     @cached_property
-    def attributions(self) -> tuple[Attribution, ...]:
+    def attributions(self) -> tuple[attribution.Attribution, ...]:
         """What everything that the fit allows for does to k(s), where that is known; the largest effect first."""
         s = np.linspace(0.0, 1.0, 101)
         known = stiffness_of(self.problem, self.optimum, self.gain_sd).band(s).identified
-        return attributions(self.problem, self.optimum, self.gain_sd, s[known] if np.any(known) else s)
+        return attribution.attributions(self.problem, self.optimum, self.gain_sd, s[known] if np.any(known) else s)
 
     @property
     def grade(self) -> Grade:
@@ -352,7 +339,7 @@ class Posterior:
     @property
     def secant_shares(self) -> tuple[float, ...]:
         """Of each recording: k(s), the secant stiffness, over the instantaneous stiffness; 1 without relaxation."""
-        return tuple(secant_of(p) for p in self.optimum.predictions)
+        return tuple(prediction.secant_of(p) for p in self.optimum.predictions)
 
     @property
     def stiffness(self) -> UncertainStiffness:
@@ -411,7 +398,7 @@ class Posterior:
         return Beam(
             self.recordings[0].observations.length,
             self.stiffness.profile,
-            rest_curvature=from_legendre(self.layout.get(self.mean, "curvature")),
+            rest_curvature=by_legendre(self.layout.get(self.mean, "curvature")),
             mass_per_length=mass_per_length(self.recordings, self.layout, self.mean, self.stiffness),
             masses=riding_masses(self.recordings),
         )
@@ -440,12 +427,12 @@ def fit(
     """Maximum a posteriori over recordings of one beam, from the stiffness `start` [N m] (None: the best uniform beam).
     Raises `LearningError` for recordings of different beams, no usable frame, no equilibrium at the start, force logs
     with more error than force, or equations that cannot be solved."""
-    check_same_beam(recordings)
+    frames.check_same_beam(recordings)
     try:
         some = [recordings[i] for i in optimizer.first_recordings(recordings, settings)]
         begin = start_of(some, None) if start is None else start
         found = _fit(recordings, begin, settings, gain_sd, progress)
-        tags = [read_alone(one) for one in recordings]
+        tags = [frames.read_alone(one) for one in recordings]
         own = any(map(optimizer.doubts_of, recordings))  # which no other fit takes away
         if any(map(_beside_tags, recordings)) and found.doubts and not own:
             return replace(_fit(tags, begin, settings, gain_sd, progress), without_outline=found.doubts[0])
@@ -552,7 +539,7 @@ def _level(posterior: Posterior) -> Array:
     """(n,) weights of the shared parameters in the mean of log k, over the identified places if there are any."""
     s = np.linspace(0.0, 1.0, 201)
     identified = posterior.band(s).identified
-    index, onto = log_k_map(posterior.problem)
+    index, onto = linear.log_k_map(posterior.problem)
     basis = posterior.layout.spline.finer.basis(s[identified] if np.any(identified) else s) @ onto
     out = np.zeros(posterior.layout.shared)
     out[index] = np.mean(basis, axis=0)

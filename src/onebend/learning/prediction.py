@@ -9,43 +9,16 @@ from itertools import accumulate
 
 import numpy as np
 
-from onebend.beam.continuation import ContinuationSettings, follow, refine
-from onebend.beam.grid import apply, paired, solve_each
+from onebend.beam import continuation, grid, sensitivity, statics
 from onebend.beam.problem import Problem
-from onebend.beam.sensitivity import (
-    Perturbation,
-    Perturbations,
-    minus_gradient,
-    of_clamp_angle,
-    of_force,
-    of_moment,
-    of_rest_curvature,
-    of_stiffness,
-    respond,
-)
-from onebend.beam.statics import Equilibrium, gradient, tangent
 from onebend.beam.stiffness import RectangularSection, UncertainStiffness
-from onebend.learning.allowances import (
-    SLIDE_SD,
-    Allowance,
-    Entry,
-    MaterialMemory,
-    lags,
-    memory,
-    reached_part,
-    remembered,
-    rest_shift,
-    secant_share,
-    section_at,
-    shift_derivatives,
-    with_rest,
-)
+from onebend.learning import allowances as effects
 from onebend.learning.fit_data import FitData
 from onebend.learning.frames import evenly_spread, push_places, ruler_places, steepness, whitened, zeroed_coordinates
 from onebend.learning.normal import in_own_pages
 from onebend.learning.parameters import Layout, log_axes
 from onebend.learning.static_poses import free_ends, moved, put_ends, solve, with_ends_held
-from onebend.records import Array, BoolArray, IntArray, Observations
+from onebend.records import Array, BoolArray, IntArray, Observations, left_of, paired, rotated, unit
 
 # Derivatives of the tags' poses: `response_columns` gives each group of parameters that bends the beam, in the order of
 # the columns; `TagRide` maps the motion of the beam to the tags; `put_blocks` and `put_tags` write the columns of a
@@ -56,13 +29,13 @@ from onebend.records import Array, BoolArray, IntArray, Observations
 class BentBeam:
     """Equilibria of F frames on Q nodes, and what the parameters change in their balance."""
 
-    solved: Equilibrium
+    solved: statics.Equilibrium
     on_nodes: Array  # (Q, p) or (F, Q, p): the functions of log k
     rest_on_nodes: Array  # (Q, 3) or (F, Q, 3): the functions of the rest curvature
     push: Array  # (F, 2) N, or (F, 3) with a moment [N m]
     beyond: Array  # (F, Q): share of the push that acts beyond the node
     farther: Array  # (Q,) or (F, Q) 1/m: what that share gains for each metre that the push lies farther out
-    by_mass: Perturbation | None = None  # the parts of the mass; None where nothing weighs
+    by_mass: sensitivity.Perturbation | None = None  # the parts of the mass; None where nothing weighs
     weight_by_k: Array | None = None  # (F, Q, 2, p) N: weight beyond the nodes, where the mass follows k(s)
     log_k: Mapping[str, Array] = field(default_factory=dict)  # (Q, n) or (F, Q, n): further functions of log k, by name
     rest_shift: Array | None = None  # (F, Q, n): of the curvature at rest, with the parameters of relaxation
@@ -70,7 +43,7 @@ class BentBeam:
     thickens: float = 1.0  # half of how the log of stretch and shear goes with its parameter
 
 
-def load_changes(beam: BentBeam) -> dict[str, Perturbation]:
+def load_changes(beam: BentBeam) -> dict[str, sensitivity.Perturbation]:
     """Groups of the loads, the clamp and the beam at rest.
 
     "curvature" (3) rad; "clamp" (1) rad; "push" (2) N, or (3) with N m, the load of each frame; "place" (1) m, of the
@@ -78,19 +51,19 @@ def load_changes(beam: BentBeam) -> dict[str, Perturbation]:
     """
     problem = beam.solved.problem
     changes = {
-        "curvature": of_rest_curvature(problem, beam.rest_on_nodes),
-        "clamp": of_clamp_angle(problem),
+        "curvature": sensitivity.of_rest_curvature(problem, beam.rest_on_nodes),
+        "clamp": sensitivity.of_clamp_angle(problem),
         "push": pushed_by(beam.beyond, np.eye(beam.push.shape[1])[None]),
         "place": placed_by(beam.farther, beam.push, np.ones((1, 1))),
     }
     if beam.by_mass is not None:
         changes["mass"] = beam.by_mass
     if beam.rest_shift is not None:
-        changes["relaxation"] = of_rest_curvature(problem, beam.rest_shift)
+        changes["relaxation"] = sensitivity.of_rest_curvature(problem, beam.rest_shift)
     return changes
 
 
-def material_changes(beam: BentBeam) -> tuple[Perturbation, dict[str, int]]:
+def material_changes(beam: BentBeam) -> tuple[sensitivity.Perturbation, dict[str, int]]:
     """Groups of the beam itself, side by side, and their sizes. They enter by `k (q - q0)` and by 1/EA and 1/kGA.
 
     "stiffness" (p) coefficients of log k; further functions of log k, by name; "length" (1) its log, at fixed k [N m]
@@ -114,14 +87,14 @@ def material_changes(beam: BentBeam) -> tuple[Perturbation, dict[str, int]]:
     if force is not None:
         force = np.pad(force, ((0, 0), (0, 0), (0, 0), (0, functions.shape[-1] - force.shape[-1])))
     bending, still = beam.solved.q - problem.q0, np.zeros(functions.shape[-1])
-    return Perturbation(force, None, (bending, functions), still, compliance), counts
+    return sensitivity.Perturbation(force, None, (bending, functions), still, compliance), counts
 
 
 @dataclass(frozen=True)
 class ResponseColumns:
     """Where each group of parameters stands among the P columns of a mechanical response."""
 
-    changes: Perturbations  # of all groups, one after the other
+    changes: sensitivity.Perturbations  # of all groups, one after the other
     slices: dict[str, slice]
 
     def split(self, response: Array) -> dict[str, Array]:
@@ -129,10 +102,10 @@ class ResponseColumns:
         return {name: response[..., columns] for name, columns in self.slices.items()}
 
 
-def response_columns(changes: Mapping[str, Perturbation], beam: BentBeam | None = None) -> ResponseColumns:
+def response_columns(changes: Mapping[str, sensitivity.Perturbation], beam: BentBeam | None = None) -> ResponseColumns:
     """The columns of these groups, in their order, and behind them those of the `beam` itself (`material_changes`)."""
     counts = {name: len(change.clamp) for name, change in changes.items()}
-    joined = Perturbations(tuple(changes.values()))
+    joined = sensitivity.Perturbations(tuple(changes.values()))
     if beam is not None:
         material, own = material_changes(beam)
         counts, joined = counts | own, joined + material
@@ -145,19 +118,21 @@ def side_by_side(counts: Mapping[str, int]) -> dict[str, slice]:
     return {name: slice(a, b) for name, a, b in zip(counts, ends[:-1], ends[1:], strict=True)}
 
 
-def allowed(allowances: Iterable[Allowance], enters: Entry, value: Callable[[str], Array]) -> Array | float:
+def allowed(
+    allowances: Iterable[effects.Allowance], enters: effects.Entry, value: Callable[[str], Array]
+) -> Array | float:
     """The sum of those that enter here at the values of their parameters, by name; 0 where there are none."""
     return sum((a.basis @ value(a.name) for a in allowances if a.enters == enters), start=0.0)
 
 
-def place_responses(solved: Equilibrium, columns: ResponseColumns, s: Array) -> dict[str, Array]:
+def place_responses(solved: statics.Equilibrium, columns: ResponseColumns, s: Array) -> dict[str, Array]:
     """(F, S, 3, n) m, m, rad per unit of each group: of the beam's position and angle at places `s` (S,)."""
-    return columns.split(respond(solved, columns.changes).poses(s))
+    return columns.split(sensitivity.respond(solved, columns.changes).poses(s))
 
 
-def push_moment(problem: Problem, push_s: Array, force: Array) -> Perturbation:
+def push_moment(problem: Problem, push_s: Array, force: Array) -> sensitivity.Perturbation:
     """One parameter: the moment [N m] of a force (F,) [N] across the beam that acts one metre from `push_s`."""
-    lever = of_moment(problem, push_s)
+    lever = sensitivity.of_moment(problem, push_s)
     assert lever.moment is not None
     return replace(lever, moment=force[:, None, None] * lever.moment)
 
@@ -170,19 +145,18 @@ def along_and_across(force: Array, angle: Array) -> tuple[Array, Array]:
 
 def push_forces(push: Array, log_axes: Array, rate: Array) -> dict[str, Array]:
     """(F, 2, 1) N per unit: the push with the "direction" of the log's axes [rad] and its "clock" [s]."""
-    turned = paired(-push[:, 1], push[:, 0])
-    return {"direction": turned[..., None], "clock": (rate @ log_axes.T)[..., None]}
+    return {"direction": left_of(push)[..., None], "clock": (rate @ log_axes.T)[..., None]}
 
 
-def pushed_by(beyond: Array, load: Array) -> Perturbation:
+def pushed_by(beyond: Array, load: Array) -> sensitivity.Perturbation:
     """n parameters that add `load` (F, 2, n) N, or (F, 3, n) with N m, to the push, of which `beyond` (Q,) or (F, Q)
     acts beyond each node."""
     added = beyond[..., None, None] * load[:, None]
     moment = added[:, :, 2] if load.shape[1] > 2 else None
-    return Perturbation(added[:, :, :2], moment, None, np.zeros(load.shape[-1]))
+    return sensitivity.Perturbation(added[:, :, :2], moment, None, np.zeros(load.shape[-1]))
 
 
-def placed_by(farther: Array, push: Array, basis: Array) -> Perturbation:
+def placed_by(farther: Array, push: Array, basis: Array) -> sensitivity.Perturbation:
     """n parameters that move a push (F, 2) N, or (F, 3) with N m, to which each metre adds `farther` (Q,) or (F, Q)
     beyond each node: `basis` (F, n) m per unit in each frame."""
     return pushed_by(farther, push[..., None] * basis[:, None, :])
@@ -212,8 +186,7 @@ class TagRide:
     @cached_property
     def offset(self) -> Array:
         """(F, m, 2) m from the beam's place to the tag."""
-        cos, sin = np.cos(self.angle), np.sin(self.angle)
-        return paired(cos * self.over - sin * self.across, sin * self.over + cos * self.across)
+        return rotated(paired(self.over, self.across), self.angle)
 
     def pose(self, xy: Array, origin: Array, turn: Array) -> Array:
         """(F, m, 3) of the tags in the picture, over places `xy` (F, m, 2) m of the beam; `turn` (m,) rad on it."""
@@ -222,7 +195,7 @@ class TagRide:
     def carry(self, response: Array) -> Array:
         """(F, m, 3, P) of the tags in the picture, from that of the beam's places under them."""
         offset, turn = self.offset, response[:, :, 2:]
-        lever = paired(-offset[..., 1], offset[..., 0])
+        lever = left_of(offset)
         xy = response[:, :, :2] + lever[..., None] * turn
         if self.ruler:
             xy = np.stack([np.zeros_like(xy[:, :, 0]), xy[:, :, 1] - self.slope[..., None] * xy[:, :, 0]], axis=2)
@@ -238,11 +211,10 @@ class TagRide:
         tip. `onward` (F, m, 2): m per m along the beam; None: the tangent, without stretch."""
         if self.ruler:
             return self._ruler_motion(xy)
-        cos, sin = np.cos(self.angle), np.sin(self.angle)
-        tangent = paired(cos, sin)
+        tangent = unit(self.angle)
         turning = (self.across * bend)[..., None] * tangent
         along = self.scale * ((tangent if onward is None else onward) - turning)
-        return TagMotion(along, bend, self.scale * paired(-sin, cos), xy)
+        return TagMotion(along, bend, self.scale * left_of(tangent), xy)
 
     def _ruler_motion(self, xy: Array) -> TagMotion:
         """Of rulers, which read y at a fixed x."""
@@ -310,7 +282,7 @@ class State:
         """(n,) values of a block; zeros where it is frozen."""
         return self.layout.get(self.x, name, self.data.number)
 
-    def allowed(self, enters: Entry) -> Array | float:
+    def allowed(self, enters: effects.Entry) -> Array | float:
         """The sum of the allowances that enter here; 0 where there are none. Shapes: see `Entry`."""
         return allowed(self.data.allowances, enters, self.value)
 
@@ -331,7 +303,7 @@ class State:
         """The section by which the beam stretches and shears, or None, and its derivative: see `section_at`."""
         o = self.data.observations
         for a in self.data.entering("section"):
-            return section_at(float(self.value(a.name)[0]), o.stated.thickness, o.length)
+            return effects.section_at(float(self.value(a.name)[0]), o.stated.thickness, o.length)
         return self.data.problem.section, 0.0
 
     @property
@@ -361,9 +333,9 @@ class State:
         """(T, T) see `allowances.memory`; None where equilibria do not depend on earlier ones."""
         if self.relaxation is None or self.data.ends is not None or not np.any(self.relaxation[0]):
             return None
-        return memory(*self.relaxation)
+        return effects.memory(*self.relaxation)
 
-    def ride(self, solved: Equilibrium) -> tuple[Array, TagRide]:
+    def ride(self, solved: statics.Equilibrium) -> tuple[Array, TagRide]:
         """(m,) s of the tags on these equilibria, (F, m) of readings under rulers, and the tags there."""
         data, scale = self.data, 1.0 + float(self.value("scale")[0])
         if data.rulers is not None:
@@ -376,43 +348,45 @@ class State:
         return s, TagRide(solved.angle(s), length * (wanted - s), data.of_tags(self.value("across")), scale)
 
 
-def _relaxed(problem: Problem, remembering: Array, start: Array | None) -> Equilibrium:
+def _relaxed(problem: Problem, remembering: Array, start: Array | None) -> statics.Equilibrium:
     """Equilibria where the material relaxes: each depends on the earlier ones, and all are found together.
 
     `problem` has the curvature at rest of a beam that has not relaxed; `start` (F, Q) are known shapes. Newton's method
     and the shift of the rest take turns. The inverse tangent is kept as long as the updates fall fast.
     """
-    q, rest = follow(problem).q if start is None else start, problem.q0
+    q, rest = continuation.follow(problem).q if start is None else start, problem.q0
 
     def shifted(q: Array) -> Problem:
-        return replace(problem, q0=rest + rest_shift(remembering, q - rest, problem.weights))
+        return replace(problem, q0=rest + effects.rest_shift(remembering, q - rest, problem.weights))
 
     inverse, before = None, np.inf
     for _ in range(_MOST_PASSES):
         here = shifted(q)
         inverse = _inverse_tangent(here, q) if inverse is None else inverse
-        update = (inverse @ gradient(here, q)[..., None])[..., 0]
+        update = (inverse @ statics.gradient(here, q)[..., None])[..., 0]
         size = float(np.max(np.abs(update)))
         if not size < _FARTHEST:  # far from equilibrium: Newton's method with a line search
-            q, inverse = refine(here, q).q, None
+            q, inverse = continuation.refine(here, q).q, None
             continue
         q = q - update
         if size < _SETTLED:
             break
         inverse, before = (inverse if size < _FALLING * before else None), size
-    return refine(shifted(q), q)
+    return continuation.refine(shifted(q), q)
 
 
 def _inverse_tangent(problem: Problem, q: Array) -> Array:
     """(F, Q, Q)."""
-    return solve_each(tangent(problem, q), np.broadcast_to(np.eye(q.shape[1]), (*q.shape, q.shape[1])))
+    return grid.solve_each(statics.tangent(problem, q), np.broadcast_to(np.eye(q.shape[1]), (*q.shape, q.shape[1])))
 
 
 def secant_of(prediction: Prediction) -> float:
     """Secant stiffness over instantaneous stiffness; 1 where the material does not relax."""
     if prediction.relaxation is None:
         return 1.0
-    return secant_share(memory(*prediction.relaxation), prediction.bending, prediction.solved.problem.weights)
+    return effects.secant_share(
+        effects.memory(*prediction.relaxation), prediction.bending, prediction.solved.problem.weights
+    )
 
 
 @dataclass(frozen=True)
@@ -438,28 +412,33 @@ def _remembered_poses(now: Prediction, columns: ResponseColumns, by_node: Array)
     assert now.relaxation is not None
     (values, time), count = now.relaxation, len(by_node)
     keys = np.unique(np.linspace(0, len(time) - 1, min(len(time), _KEY_FRAMES)).round().astype(np.int64))
-    some, bent, remembering = now.solved.take(keys), now.bending[keys], memory(values, time[keys])
+    some, bent, remembering = now.solved.take(keys), now.bending[keys], effects.memory(values, time[keys])
     between = np.stack([np.interp(time, time[keys], one) for one in np.eye(len(keys))], axis=1)
     inverse, weights = _inverse_tangent(some.problem, some.q), some.problem.weights
-    first = inverse @ minus_gradient(some, columns.changes.take(keys))
+    first = inverse @ sensitivity.minus_gradient(some, columns.changes.take(keys))
     by_shift = inverse * some.problem.stiff[..., None, :]
     change = first.copy()
     change[..., columns.slices["curvature"]] -= now.data.rest_on_nodes  # bending is counted from the rest
     moved = change
     for _ in range(_PASSES):
-        moved = change + by_shift @ remembered(remembering, bent, weights, moved)
-    shift = np.tensordot(between, remembered(remembering, bent, weights, moved), 1)
+        moved = change + by_shift @ effects.remembered(remembering, bent, weights, moved)
+    shift = np.tensordot(between, effects.remembered(remembering, bent, weights, moved), 1)
     nodes = by_node[: len(time)]
     by_parameters = (nodes.reshape(len(nodes), -1, nodes.shape[-1]) @ shift).reshape(*nodes.shape[:3], -1)
     # To first order in the relaxing share; the change of the reached part of the curvature is left out.
-    reached = reached_part(remembering @ bent, bent, weights)
+    reached = effects.reached_part(remembering @ bent, bent, weights)
     every, by_push = np.arange(len(keys)), first[..., columns.slices["push"]]
     pairs = np.tensordot(by_node[keys], by_push, ((3,), (1,)))  # (n, S, 3, n, 2): of a frame, with the push in another
     at_once = np.tensordot(between, pairs[every, :, :, every], 1)
     pairs *= remembering[:, None, None, :, None]
     later = np.tensordot(between, pairs.reshape(*pairs.shape[:3], -1), 1)
     by_push, by_pushes = -reached / (1.0 - reached) * at_once, later / (1.0 - reached)
-    return Remembered(with_rest(by_parameters, count), with_rest(by_push, count), with_rest(by_pushes, count), keys)
+    return Remembered(
+        effects.with_rest(by_parameters, count),
+        effects.with_rest(by_push, count),
+        effects.with_rest(by_pushes, count),
+        keys,
+    )
 
 
 @dataclass(frozen=True)
@@ -527,7 +506,7 @@ class Slopes:
 class Prediction(State):
     """The tags' poses at the parameters of a state."""
 
-    solved: Equilibrium
+    solved: statics.Equilibrium
     s: Array  # (m,) or (F, m) places of the beam under the tags
     riding: TagRide  # the tags there
     on_beam: Array  # (F, m, 2) m, these places in the beam's frame
@@ -551,7 +530,7 @@ class Prediction(State):
         _, time = self.relaxation
         bent, weights = self.bending[: len(time)], self.solved.problem.weights
         of = slice(None) if frame is None else slice(frame, frame + 1)
-        return tuple(reached_part((lag @ bent)[of], bent[of], weights) for lag in lags(time))
+        return tuple(effects.reached_part((lag @ bent)[of], bent[of], weights) for lag in effects.lags(time))
 
     @property
     def load(self) -> Array:
@@ -584,7 +563,7 @@ class Prediction(State):
         load = self.load
         changes = [pushed_by(self.push_beyond, np.eye(load.shape[1])[None])]
         changes += [placed_by(self.data.farther, load, np.ones((1, 1)))] if place else []
-        return self.riding.carry(_responses(self, Perturbations(tuple(changes)))[0])
+        return self.riding.carry(_responses(self, sensitivity.Perturbations(tuple(changes)))[0])
 
     def clear_slopes(self) -> None:
         """Free the cached derivatives, most of the memory of a fit; they are computed again on demand."""
@@ -597,7 +576,7 @@ def predict(
     x: Array,
     start: Array | None,
     own: Array | None = None,
-    settings: ContinuationSettings = ContinuationSettings(),
+    settings: continuation.ContinuationSettings = continuation.ContinuationSettings(),
 ) -> Prediction:
     """Equilibria and tags for parameters x and each frame's `own` force (F, 2) [N], zero if None, or load (F, 3).
 
@@ -640,7 +619,7 @@ def predict(
     return Prediction(data, layout, x, solved, s, ride, xy, pose + allowed("poses"), force, own)
 
 
-def _remembering(state: State, memory: MaterialMemory, start: Array | None) -> Array:
+def _remembering(state: State, memory: effects.MaterialMemory, start: Array | None) -> Array:
     """(F, Q) rad, the curvature at rest of a beam with this memory that is bent as in `start`."""
     bent = np.zeros(memory.before.shape[:2]) if start is None else start - state.rest
     return np.asarray(state.rest + memory.shift(state.value("relaxation"), bent)[0])
@@ -653,13 +632,13 @@ def _slopes(now: Prediction) -> Slopes:
     pushes |= {a.name: a.basis for a in data.entering("force")}
     moves = {a.name: a.basis for a in data.entering("place")}
     changes = load_changes(bent)
-    changes |= {a.name: Perturbation(a.basis, None, None, np.zeros(a.count)) for a in data.entering("load")}
+    changes |= {a.name: sensitivity.Perturbation(a.basis, None, None, np.zeros(a.count)) for a in data.entering("load")}
     if has_memory:  # what a force does in one frame depends on those before
         changes |= {name: pushed_by(bent.beyond, force) for name, force in pushes.items()}
         changes |= {name: placed_by(bent.farther, bent.push, basis) for name, basis in moves.items()}
     columns = response_columns(changes, bent)
-    each_node = (of_rest_curvature(solved.problem, np.eye(nodes)),) if has_memory else ()
-    both, by_end = _responses(now, Perturbations((*columns.changes.parts, *each_node)))
+    each_node = (sensitivity.of_rest_curvature(solved.problem, np.eye(nodes)),) if has_memory else ()
+    both, by_end = _responses(now, sensitivity.Perturbations((*columns.changes.parts, *each_node)))
     response, by_node = np.split(both, [len(columns.changes.clamp)], axis=-1)
     ride = now.riding
     if data.ends is None and "length" in columns.slices:
@@ -691,13 +670,13 @@ def _slopes(now: Prediction) -> Slopes:
     return slopes
 
 
-def _responses(now: Prediction, changes: Perturbations) -> tuple[Array, Array]:
+def _responses(now: Prediction, changes: sensitivity.Perturbations) -> tuple[Array, Array]:
     """(F, m, 3, P) of the beam's places under the tags to changes, and (H, m, 3, 3) to the held ends."""
     solved, s = now.solved, now.s
     if now.data.ends is None:
-        return respond(solved, changes).poses(s), np.zeros((0, s.shape[-1], 3, 3))
-    wrench = of_force(solved.problem, np.ones(1)) + of_moment(solved.problem, np.ones(1))
-    return with_ends_held(respond(solved, changes + wrench).poses(np.append(s, 1.0)), now.data.ends)
+        return sensitivity.respond(solved, changes).poses(s), np.zeros((0, s.shape[-1], 3, 3))
+    wrench = sensitivity.of_force(solved.problem, np.ones(1)) + sensitivity.of_moment(solved.problem, np.ones(1))
+    return with_ends_held(sensitivity.respond(solved, changes + wrench).poses(np.append(s, 1.0)), now.data.ends)
 
 
 def _tag_motion(now: Prediction) -> TagMotion:
@@ -707,11 +686,11 @@ def _tag_motion(now: Prediction) -> TagMotion:
     written, on_beam = now.data.observations.length, ride.over <= 0.0
     if ride.ruler:
         return ride.motion(xy, ride.over)
-    bend = np.where(on_beam, apply(solved.problem.grid.value_at(s), solved.q) / written, 0.0)
+    bend = np.where(on_beam, grid.apply(solved.problem.grid.value_at(s), solved.q) / written, 0.0)
     if not now.data.allowances:
         return ride.motion(xy, bend)
-    tangent = np.stack([np.cos(ride.angle), np.sin(ride.angle)], axis=-1)
-    return ride.motion(xy, bend, np.where(on_beam[:, None], solved.xy_by_s(s) / written, tangent))
+    onward = np.where(on_beam[:, None], solved.xy_by_s(s) / written, unit(ride.angle))
+    return ride.motion(xy, bend, onward)
 
 
 def _bent(now: Prediction) -> BentBeam:
@@ -721,7 +700,7 @@ def _bent(now: Prediction) -> BentBeam:
         by_mass = data.mass.by_mass(data.problem, k)
         weight_by_k = data.mass.by_stiffness(data.problem, k, data.on_nodes, now.value("mass"))
     if now.relaxation is not None:
-        shift = shift_derivatives(*now.relaxation, now.bending, now.solved.problem.weights)
+        shift = effects.shift_derivatives(*now.relaxation, now.bending, now.solved.problem.weights)
     elif data.memory is not None:
         shift = data.memory.shift(now.value("relaxation"), now.bending)[1]
     return BentBeam(
@@ -752,7 +731,7 @@ def few_frames(frames: BoolArray) -> BoolArray:
 
 
 def variances(
-    solved: Equilibrium, observations: Observations, frames: BoolArray, stiffness: UncertainStiffness
+    solved: statics.Equilibrium, observations: Observations, frames: BoolArray, stiffness: UncertainStiffness
 ) -> dict[str, Array]:
     """(m,) m^2 each, variance of the tags' predicted places, mean over the frames: by the band of log k(s), the place
     of the push and the direction of its force.
@@ -761,17 +740,17 @@ def variances(
     """
     s, problem, stands = observations.marker_s, solved.problem, solved.converged[:, None]
     functions = problem.k[..., None] * stiffness.basis(problem.grid.nodes)
-    by_k = respond(solved, of_stiffness(solved, functions)).xy(s)  # (T, m, 2, p)
+    by_k = sensitivity.respond(solved, sensitivity.of_stiffness(solved, functions)).xy(s)  # (T, m, 2, p)
     out = {"stiffness": np.sum((by_k @ stiffness.covariance) * by_k, axis=(2, 3))}
     if not observations.static:
         at, force, stated = push_places(observations)[frames], observations.force[frames], observations.stated
         angle = solved.angle(at[:, None])[:, 0]
         _, across = along_and_across(force, angle)
-        turned = np.stack([-force[:, 1], force[:, 0]], axis=1)
-        by_moment = respond(solved, of_moment(problem, at)).xy(s)[..., 0]
-        by_force = respond(solved, of_force(problem, at)).xy(s)
-        turn = apply(problem.grid.integral_to(at[:, None]), solved.q - problem.q0)[:, 0]  # of the beam, since rest
-        away = stated.place_sd**2 + (SLIDE_SD * turn) ** 2  # (T,) m^2
+        turned = left_of(force)
+        by_moment = sensitivity.respond(solved, sensitivity.of_moment(problem, at)).xy(s)[..., 0]
+        by_force = sensitivity.respond(solved, sensitivity.of_force(problem, at)).xy(s)
+        turn = grid.apply(problem.grid.integral_to(at[:, None]), solved.q - problem.q0)[:, 0]  # of the beam, since rest
+        away = stated.place_sd**2 + (effects.SLIDE_SD * turn) ** 2  # (T,) m^2
         out["place"] = np.sum((by_moment * across[:, None, None]) ** 2, axis=-1) * away[:, None]
         out["direction"] = np.sum(np.einsum("tmcd,td->tmc", by_force, turned) ** 2, axis=-1) * stated.direction_sd**2
     return {name: np.mean(one, axis=0, where=stands) for name, one in out.items()}

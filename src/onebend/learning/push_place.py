@@ -23,24 +23,10 @@ from scipy.special import ndtri
 
 from onebend.beam.stiffness import SHAPE_LEVELS, SHAPE_PLACES
 from onebend.errors import LearningError
+from onebend.learning import hyperparameters, optimizer, parameters, start
 from onebend.learning.criticism import ALARM, Criticism
-from onebend.learning.hyperparameters import with_stiffness_prior
 from onebend.learning.linear import FitProblem, Hyperparameters, log_k_map, prior
 from onebend.learning.normal import JointCovariance
-from onebend.learning.optimizer import (
-    FitSettings,
-    MapEstimate,
-    OptimizerSettings,
-    Optimum,
-    carried_over,
-    descend,
-    evidence_at,
-    find_maximum,
-    rewritten_problem,
-    starting,
-)
-from onebend.learning.parameters import Layout
-from onebend.learning.start import start_of
 from onebend.progress import Silent
 from onebend.records import PLACE_SD, Array, BoolArray
 
@@ -51,7 +37,7 @@ from onebend.records import PLACE_SD, Array, BoolArray
 
 _FRAMES = 50.0  # that a recording counts as, at most
 _FITTED = 30  # frames that are fitted
-_NOISE = OptimizerSettings(most_steps=20, coarse_rounds=0, rounds=4, on_the_way=0.3, tolerance=0.3)
+_NOISE = optimizer.OptimizerSettings(most_steps=20, coarse_rounds=0, rounds=4, on_the_way=0.3, tolerance=0.3)
 _ROUNDS = 3  # of a fit, each but the last with a new prior of log k after it
 _FAR_BELOW = 50.0  # of the log evidence, below the best place: another prior of log k seldom adds more than a few
 _NEAR = 0.03  # of the length: so near to a push nothing bends, and the ratio of two moments tells nothing
@@ -64,16 +50,18 @@ class AtPlace:
 
     place: float  # s
     problem: FitProblem
-    estimate: MapEstimate
+    estimate: optimizer.MapEstimate
     log_evidence: float  # but for a constant, under one noise
 
 
-def at_written(problem: FitProblem, optimum: Optimum, place: float, settings: FitSettings) -> AtPlace | None:
+def at_written(
+    problem: FitProblem, optimum: optimizer.Optimum, place: float, settings: optimizer.FitSettings
+) -> AtPlace | None:
     """The fit to some frames with the push at the written place, under its own noise; None if it fails."""
-    found = MapEstimate(optimum.x, optimum.hyperparameters, optimum.predictions)
-    few = rewritten_problem([one.observations for one in problem.recordings], problem, settings, _FITTED)
+    found = optimizer.MapEstimate(optimum.x, optimum.hyperparameters, optimum.predictions)
+    few = optimizer.rewritten_problem([one.observations for one in problem.recordings], problem, settings, _FITTED)
     try:
-        begin = carried_over(problem, found, few, [0])
+        begin = optimizer.carried_over(problem, found, few, [0])
     except LearningError:
         return None
     return under(AtPlace(place, few, begin, np.nan), coarsened(begin.hyperparameters, few))
@@ -82,7 +70,7 @@ def at_written(problem: FitProblem, optimum: Optimum, place: float, settings: Fi
 def with_own_noise(fit: AtPlace) -> AtPlace | None:
     """The fit with noise and sizes from its own residuals."""
     try:
-        estimate = find_maximum(fit.problem, fit.estimate, _NOISE, Silent())
+        estimate = optimizer.find_maximum(fit.problem, fit.estimate, _NOISE, Silent())
     except (LearningError, np.linalg.LinAlgError):
         return None
     return under(replace(fit, estimate=estimate), coarsened(estimate.hyperparameters, fit.problem))
@@ -100,7 +88,7 @@ def coarsened(found: Hyperparameters, problem: FitProblem) -> Hyperparameters:
     return replace(found, noise=tuple(noise), sites={})
 
 
-def moved(fit: AtPlace, place: float, settings: FitSettings, most: float = -np.inf) -> AtPlace | None:
+def moved(fit: AtPlace, place: float, settings: optimizer.FitSettings, most: float = -np.inf) -> AtPlace | None:
     """The fit with the push at another place, under the noise of a neighbouring fit; None if it fails.
 
     It begins at the neighbour's k(s), and if that fails at the best even beam. `most`: best log evidence so far.
@@ -121,29 +109,29 @@ def under(fit: AtPlace, common: Hyperparameters, least: float = -np.inf) -> AtPl
     try:
         for i in range(_ROUNDS):
             now = estimate.hyperparameters
-            estimate = descend(problem, estimate, prior(problem, now), _NOISE.most_steps, _NOISE.tolerance)
-            evidence = evidence_at(problem, estimate)
+            estimate = optimizer.descend(problem, estimate, prior(problem, now), _NOISE.most_steps, _NOISE.tolerance)
+            evidence = optimizer.evidence_at(problem, estimate)
             value = evidence.posterior(now).log_evidence_of_shared
             if i + 1 == _ROUNDS or not value >= least:
                 break
-            estimate = replace(estimate, hyperparameters=with_stiffness_prior(evidence, now))
+            estimate = replace(estimate, hyperparameters=hyperparameters.with_stiffness_prior(evidence, now))
     except (LearningError, np.linalg.LinAlgError):
         return None
     return AtPlace(fit.place, problem, estimate, value) if np.isfinite(value) else None
 
 
-def _begun(fit: AtPlace, place: float, settings: FitSettings, *, even: bool) -> AtPlace | None:
+def _begun(fit: AtPlace, place: float, settings: optimizer.FitSettings, *, even: bool) -> AtPlace | None:
     """Initial fit with the push at another place, on the same frames: k in proportion to the moment, or `even`."""
     problem, x, p = fit.problem, fit.estimate.x.copy(), fit.problem.layout.spline.count
     o = problem.recordings[0].observations
     there = replace(o, push_s=np.where(np.isfinite(o.push_s), place, o.push_s))
     try:
-        other = rewritten_problem([there], problem, settings)
+        other = optimizer.rewritten_problem([there], problem, settings)
         if even:
-            x[:p] = starting(other.layout, start_of([there], None))[0][:p]
+            x[:p] = optimizer.starting(other.layout, start.start_of([there], None))[0][:p]
         else:
             x[:p] += problem.layout.spline.nearest(lambda s: log_ratio(s, fit.place, place))
-        begin = carried_over(problem, replace(fit.estimate, x=x), other, [0])
+        begin = optimizer.carried_over(problem, replace(fit.estimate, x=x), other, [0])
         return AtPlace(place, other, begin, np.nan)
     except (LearningError, np.linalg.LinAlgError):
         return None
@@ -224,7 +212,7 @@ def doubtful(criticism: Criticism) -> bool:
     return bool(criticism.striking) or any(p < _REASON for p in places)
 
 
-def moved_off(layout: Layout, mean: Array) -> float:
+def moved_off(layout: parameters.Layout, mean: Array) -> float:
     """Sds by which the fit itself takes a push away from its written place, the farthest of all recordings."""
     blocks = [block for block in layout.blocks if block.name == "place" and block.start >= 0]
     return max((float(np.max(np.abs(mean[one.where]) / one.prior_sd)) for one in blocks), default=0.0)
@@ -232,7 +220,7 @@ def moved_off(layout: Layout, mean: Array) -> float:
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # of fits that fail
 def search_place(
-    problem: FitProblem, optimum: Optimum, settings: FitSettings, *, thorough: bool = True
+    problem: FitProblem, optimum: optimizer.Optimum, settings: optimizer.FitSettings, *, thorough: bool = True
 ) -> PlaceSearch | None:
     """The evidence at other places than the written one.
 
@@ -263,7 +251,7 @@ def search_place(
     return PlaceSearch(written, s, gain, away, everywhere, weight, mistaken, accused)
 
 
-def _every_place(here: AtPlace, settings: FitSettings, *, thorough: bool) -> list[AtPlace]:
+def _every_place(here: AtPlace, settings: optimizer.FitSettings, *, thorough: bool) -> list[AtPlace]:
     """The fits at other places; none where those on either side have far less evidence, unless `thorough`."""
     sides = [_outwards(here, side, settings) for side in (-1.0, 1.0)]
     first = [one for one in (next(side, None) for side in sides) if one is not None]
@@ -292,7 +280,9 @@ def _under_noise_of_best(here: AtPlace, found: list[AtPlace]) -> tuple[AtPlace, 
     return again, out
 
 
-def with_places(problem: FitProblem, optimum: Optimum, search: PlaceSearch | None, sd: Array) -> Optimum:
+def with_places(
+    problem: FitProblem, optimum: optimizer.Optimum, search: PlaceSearch | None, sd: Array
+) -> optimizer.Optimum:
     """The optimum with what is not known of the place of the push; `sd` (S,) of log k at SHAPE_PLACES without it.
 
     Beyond a band of probability p lies `1 - p`: of the places that the push has with probability `mistaken` the least
@@ -315,7 +305,7 @@ def with_places(problem: FitProblem, optimum: Optimum, search: PlaceSearch | Non
     )
 
 
-def _outwards(here: AtPlace, side: float, settings: FitSettings) -> Iterator[AtPlace]:
+def _outwards(here: AtPlace, side: float, settings: optimizer.FitSettings) -> Iterator[AtPlace]:
     """Place after place on one side of the written one, until the evidence has dropped for good."""
     last, most = here, here.log_evidence
     for step in _STEPS:

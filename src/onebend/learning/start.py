@@ -11,30 +11,7 @@ from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, make_problem
 from onebend.beam.stiffness import Profile, Scaled, Uniform
 from onebend.errors import LearningError
-from onebend.learning.frames import (
-    distances,
-    evenly_spread,
-    from_the_clamp,
-    loads_of,
-    mass_profile,
-    nothing_moves,
-    points_of,
-    read_alone,
-    usable_frames,
-)
-from onebend.learning.frequencies import stiffness_level, swinging_mass
-from onebend.learning.outcome import Learned
-from onebend.learning.parameters import (
-    NEEDS_MASS,
-    check_mass_can_be_learned,
-    forced,
-    known_shape,
-    mass_is_open,
-    needs_mass,
-    shared_mass,
-    weighs,
-)
-from onebend.learning.static_poses import is_held, resolution_of, sets_no_scale, shapes_of
+from onebend.learning import frames as framing, frequencies, outcome, parameters, static_poses
 from onebend.progress import one_blas_thread
 from onebend.records import BoolArray, Observations
 
@@ -50,7 +27,7 @@ _TRIED = np.geomspace(0.05, 200.0, 25)  # k in units of (largest load) x L
 
 
 @one_blas_thread
-def start_of(recordings: Sequence[Observations], learned: Learned | None) -> Profile:
+def start_of(recordings: Sequence[Observations], learned: outcome.Learned | None) -> Profile:
     """The regression's k(s), or the best uniform beam's where that is nearer to the tags of all recordings.
 
     Where the shape of k(s) is stated, the beams tried have that.
@@ -58,17 +35,17 @@ def start_of(recordings: Sequence[Observations], learned: Learned | None) -> Pro
     Raises:
         LearningError: a recording has no usable frame, or weight acts and no mass is given.
     """
-    recordings = [read_alone(o) for o in recordings]
+    recordings = [framing.read_alone(o) for o in recordings]
     frames = [_some(o) for o in recordings]
-    if mass_is_open(recordings):
-        names = ", ".join(o.source.name for o in recordings if needs_mass(o))
-        raise LearningError(f"{names}: {NEEDS_MASS}, or guess it first, with `with_mass`")
-    if sets_no_scale(recordings):
+    if parameters.mass_is_open(recordings):
+        names = ", ".join(o.source.name for o in recordings if parameters.needs_mass(o))
+        raise LearningError(f"{names}: {parameters.NEEDS_MASS}, or guess it first, with `with_mass`")
+    if static_poses.sets_no_scale(recordings):
         return Uniform(1.0)  # as good as any
-    swung = [Uniform(stiffness_level(recordings))] if any(o.frequencies for o in recordings) else []
-    if swung and not any(forced(o) or weighs(o) for o in recordings):
+    swung = [Uniform(frequencies.stiffness_level(recordings))] if any(o.frequencies for o in recordings) else []
+    if swung and not any(parameters.forced(o) or parameters.weighs(o) for o in recordings):
         return swung[0]  # the tags say nothing of the size
-    tried = _TRIED_HELD if any(is_held(o) for o in recordings) else _TRIED
+    tried = _TRIED_HELD if any(static_poses.is_held(o) for o in recordings) else _TRIED
     unit = max(_largest_load(o, some) for o, some in zip(recordings, frames, strict=True)) * recordings[0].length
     shape, mass = _shape(recordings), _mass(recordings)
     beams = [Beam(recordings[0].length, Scaled(float(unit * k), shape), mass_per_length=mass) for k in tried]
@@ -88,12 +65,12 @@ def with_mass(recordings: Sequence[Observations]) -> tuple[Observations, ...]:
     Raises:
         LearningError: an unknown weight is all that bends the beam, so that only k/mu could be learned.
     """
-    check_mass_can_be_learned(recordings)
-    if not mass_is_open(recordings):
-        return shared_mass(recordings)
+    parameters.check_mass_can_be_learned(recordings)
+    if not parameters.mass_is_open(recordings):
+        return parameters.shared_mass(recordings)
     frames = [_some(o, _FEW) for o in recordings]
-    if not any(weighs(o) for o in recordings):
-        return shared_mass(recordings, _mass_of_swing(recordings, frames))
+    if not any(parameters.weighs(o) for o in recordings):
+        return parameters.shared_mass(recordings, _mass_of_swing(recordings, frames))
     pull = max(float(np.max(np.linalg.norm(o.gravity, axis=1))) for o in recordings)
     load = max(_largest_load(o, some) for o, some in zip(recordings, frames, strict=True))
     length, best, least, shape = recordings[0].length, np.nan, np.inf, _shape(recordings)
@@ -102,35 +79,35 @@ def with_mass(recordings: Sequence[Observations]) -> tuple[Observations, ...]:
             beam = Beam(length, Scaled(k, shape), mass_per_length=Uniform(mass / length))
             distance = _distance(beam, recordings, frames)
             best, least = (mass, distance) if distance < least else (best, least)
-    return shared_mass(recordings, best)
+    return parameters.shared_mass(recordings, best)
 
 
 def _mass_of_swing(recordings: Sequence[Observations], frames: list[BoolArray]) -> float:
     """kg, of the beam that follows the tags and swings as it was seen to; a tip mass, where that alone has a size."""
-    if not any(forced(o) for o in recordings):
+    if not any(parameters.forced(o) for o in recordings):
         return max(one.tip_mass for o in recordings for one in o.frequencies)
     length, load = recordings[0].length, max(_largest_load(o, some) for o, some in zip(recordings, frames, strict=True))
     levels = (load * length * _TRIED).tolist()
     away = [_distance(Beam(length, Uniform(k)), recordings, frames) for k in levels]
-    return swinging_mass(recordings, levels[int(np.argmin(away))])
+    return frequencies.swinging_mass(recordings, levels[int(np.argmin(away))])
 
 
 def _some(o: Observations, most: int = _FRAMES) -> BoolArray:
     """A few of the usable frames, evenly spread."""
-    usable, still = np.flatnonzero(usable_frames(o)).astype(np.int64), nothing_moves(o)
+    usable, still = np.flatnonzero(framing.usable_frames(o)).astype(np.int64), framing.nothing_moves(o)
     if len(usable) == 0 or still:
         raise LearningError(
             f"{o.source.name}: {still or 'no frame has a load, a force and a tag'}, so nothing can be learned from it. "
             "Film a push (or a beam that its weight bends), with the tags in view, and let the force log cover it"
         )
-    return evenly_spread(usable, most, len(o.time))
+    return framing.evenly_spread(usable, most, len(o.time))
 
 
 def _distances(beams: Sequence[Beam], recordings: Sequence[Observations], frames: list[BoolArray]) -> list[float]:
     """`_distance` of each beam, infinite without equilibrium. Films of a free end are tried from the stiffest beam on;
     softer ones, which take longest, are left out once the distance grows."""
     away = [np.inf] * len(beams)
-    films, best = not any(o.static or is_held(o) for o in recordings), np.inf
+    films, best = not any(o.static or static_poses.is_held(o) for o in recordings), np.inf
     for i in reversed(range(len(beams))):
         away[i] = _distance(beams[i], recordings, frames)
         best = min(best, away[i])
@@ -147,12 +124,12 @@ def _distance(beam: Beam, recordings: Sequence[Observations], frames: list[BoolA
     total, count = 0.0, 0
     for o, some in zip(recordings, frames, strict=True):
         laden = replace(beam, masses=o.stated.masses)
-        resolution = _ROUGH if o.static and not is_held(o) else resolution_of(o)
-        solved = shapes_of(o, some, make_problem(laden, loads_of(o, some), resolution))
+        resolution = _ROUGH if o.static and not static_poses.is_held(o) else static_poses.resolution_of(o)
+        solved = static_poses.shapes_of(o, some, make_problem(laden, framing.loads_of(o, some), resolution))
         if not np.all(solved.converged):
             return float("inf")
-        predicted = points_of(o, some, solved)
-        squared = distances(from_the_clamp(o, some, predicted) - predicted) ** 2
+        predicted = framing.points_of(o, some, solved)
+        squared = framing.distances(framing.from_the_clamp(o, some, predicted) - predicted) ** 2
         if o.static:
             squared = squared / (1.0 + squared / (_ELSEWHERE * o.length) ** 2)
         total, count = total + float(np.nansum(squared)), count + int(np.sum(np.isfinite(squared)))
@@ -165,7 +142,7 @@ def _largest_load(o: Observations, some: BoolArray) -> float:
     if o.known_loads is not None:
         moment = np.sum(np.abs(o.known_loads.moment[some]), axis=1) / o.length
         loads = loads + np.sum(np.linalg.norm(o.known_loads.force[some], axis=-1), axis=1) + moment
-    if weighs(o):
+    if parameters.weighs(o):
         mass = np.nan_to_num(o.stated.mass) + sum(one.mass for one in o.stated.masses)
         loads = loads + mass * np.linalg.norm(o.gravity[some], axis=1)
     return max(float(np.max(loads)), 1e-6)
@@ -173,10 +150,10 @@ def _largest_load(o: Observations, some: BoolArray) -> float:
 
 def _shape(recordings: Sequence[Observations]) -> Profile:
     """k over its mean, as stated; even where nothing is."""
-    known = known_shape(recordings)
+    known = parameters.known_shape(recordings)
     return Uniform(1.0) if known is None else known.profile
 
 
 def _mass(recordings: Sequence[Observations]) -> Profile:
     known = [o for o in recordings if np.isfinite(o.stated.mass)]
-    return mass_profile(known[0]) if known else Uniform(0.0)
+    return framing.mass_profile(known[0]) if known else Uniform(0.0)

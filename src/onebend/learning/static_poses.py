@@ -15,7 +15,7 @@ from onebend.beam.statics import Equilibrium, correct, is_convex, is_stable
 from onebend.beam.stiffness import UncertainStiffness, half_width
 from onebend.learning.outcome import Notice
 from onebend.learning.parameters import KnownShape, Layout, forced, known_shape, needs_mass
-from onebend.records import UNKNOWN_ANGLE_SD, Array, BoolArray, IntArray, Observations, tags_among
+from onebend.records import UNKNOWN_ANGLE_SD, Array, BoolArray, IntArray, Observations, left_of, tags_among, unit
 
 _SAME_BRANCH = 0.7  # rad, the largest turn of Newton's method from a shape that is still on its branch
 _ROPE = 20.0  # of `int sqrt(L N / k) ds`: above it the search may miss equilibria, and the shape seen is let fall, too
@@ -89,7 +89,7 @@ def pose_rms(off: Array) -> Array:
 def across_curve(o: Observations, frames: BoolArray, off: Array) -> Array:
     """(F, m, 2) m, of distances in some frames (T,) what counts: of a curve's points the part across it."""
     direction = np.where(tags_among(o), np.nan, o.angle[frames])
-    normal = np.stack([-np.sin(direction), np.cos(direction)], axis=-1)
+    normal = left_of(unit(direction))
     return np.where(np.isfinite(normal), np.sum(off * normal, axis=-1, keepdims=True) * normal, off)
 
 

@@ -330,14 +330,17 @@ def _modes(s: _Signals, found: list[tuple[float, float]], covariance: Array) -> 
         omega, decay = found[i]
         ratio = decay / float(np.hypot(omega, decay))
         hz = omega / (2.0 * np.pi)
-        base = next((one.frequency for one in out if not one.multiple_of and _is_multiple(hz, one.frequency)), 0.0)
+        bases = (
+            one.frequency
+            for one in out
+            if not one.multiple_of
+            for n in (2, 3)
+            if abs(hz / (n * one.frequency) - 1.0) < _MULTIPLE
+        )
+        base = next(bases, 0.0)
         ratio_sd, share = float(sd[i, 1]) / omega, float(strength[i] / strength.max())
         out.append(SwingFrequency(hz, float(sd[i, 0]) / (2.0 * np.pi), ratio, ratio_sd, share, base))
     return tuple(out)
-
-
-def _is_multiple(hz: float, base: float) -> bool:
-    return any(abs(hz / (n * base) - 1.0) < _MULTIPLE for n in (2, 3))
 
 
 def _mode_notices(modes: tuple[SwingFrequency, ...], s: _Signals) -> tuple[Notice, ...]:

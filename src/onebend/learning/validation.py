@@ -16,27 +16,11 @@ from onebend.beam.setup import Bent, SetUp
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
-from onebend.learning import static_poses
-from onebend.learning.allowances import course_of, posture_sd
-from onebend.learning.fit_data import AtRest
-from onebend.learning.frames import (
-    evenly_spread,
-    from_the_clamp,
-    loads_of,
-    marker_rms,
-    nothing_moves,
-    points_of,
-    push_places,
-    read_alone,
-    typical,
-    usable_frames,
-)
-from onebend.learning.frequencies import validated_frequencies
+from onebend.learning import allowances, fit_data, frames as framing, frequencies, parameters, prediction, static_poses
 from onebend.learning.outcome import Comparison, Notice
-from onebend.learning.parameters import NEEDS_MASS, weighs
-from onebend.learning.prediction import few_frames, variances
 from onebend.progress import one_blas_thread
-from onebend.records import Array, BoolArray, Observations, Remark
+from onebend.recording.signals import nan_median
+from onebend.records import Array, BoolArray, Observations, Remark, rotated
 
 _DRAWS, _LIKELY_FRAMES = 60, 12  # which tell how far tags are likely to be off
 _ONE_SD = 0.683  # of a normal density
@@ -55,7 +39,7 @@ def validate(
     beam: Beam,
     observations: Observations,
     *,
-    rest: AtRest | None = None,
+    rest: fit_data.AtRest | None = None,
     stiffness: UncertainStiffness | None = None,
     setup: SetUp | None = None,
 ) -> Comparison:
@@ -65,17 +49,17 @@ def validate(
     these recordings (`SetUp.renewed`); the push is a new contact in any case. A film of one push then has the beam in
     this set-up. Raises `LearningError` without a usable frame, or without a mass where weight acts; `MechanicsError`
     if k(s) is not positive."""
-    observations, here = read_alone(observations), None
-    frames = usable_frames(observations)
+    observations, here = framing.read_alone(observations), None
+    frames = framing.usable_frames(observations)
     if not np.any(frames):
-        why = nothing_moves(observations) or "no frame has a load, a force and a tag"
+        why = framing.nothing_moves(observations) or "no frame has a load, a force and a tag"
         raise LearningError(f"{observations.source.name}: {why}; nothing to compare")
     if setup is not None and stiffness is not None and _one_push(observations):
         here = _Pushed(beam, stiffness, _as_pushed(setup, observations, frames), observations)
         origin = here.setup.origin
         observations = replace(observations, xy=observations.xy - origin, rest_xy=observations.rest_xy - origin)
-    if weighs(observations) and not has_mass(beam):
-        raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
+    if parameters.weighs(observations) and not has_mass(beam):
+        raise LearningError(f"{observations.source.name}: {parameters.NEEDS_MASS}")
     still = _at_rest(beam) if here is None else here.bent(np.zeros((1, 2))).solved
     offset = mounting(still, observations) if rest is None else rest.offset
     parts, every = [], np.flatnonzero(frames)
@@ -86,7 +70,7 @@ def validate(
         tags = _predicted(solved, observations, chunk, offset)
         parts.append((tags, solved.stable, solved.converged, _by_sensor(solved, observations, chunk)))
     predicted, stable, converged, by_sensor = (np.concatenate(values) for values in zip(*parts, strict=True))
-    measured = from_the_clamp(observations, frames, predicted)
+    measured = framing.from_the_clamp(observations, frames, predicted)
     sensor_rms = np.sqrt(np.mean(by_sensor, axis=0))
     notices: tuple[Notice | Remark, ...] = _notices(stable, converged)
     if static_poses.seen_poses(observations, frames) is not None:
@@ -100,26 +84,29 @@ def validate(
         measured=measured,
         predicted=predicted,
         force=observations.force[frames],
-        push_s=push_places(observations)[frames],
+        push_s=framing.push_places(observations)[frames],
         stable=stable,
-        rms=np.where(np.any(observations.marker_s), marker_rms(measured - predicted), np.nan),  # no clamp by itself
+        # no clamp by itself
+        rms=np.where(np.any(observations.marker_s), framing.marker_rms(measured - predicted), np.nan),
         sensor_rms=sensor_rms,
         likely_rms=_likely_rms(beam, observations, frames, stiffness, sensor_rms)
         if here is None
-        else np.hypot(np.nan_to_num(sensor_rms), here.spread(evenly_spread(every, _LIKELY_FRAMES, len(frames)))),
-        remarks=notices + (validated_frequencies(beam, observations) if has_mass(beam) else ()),
+        else np.hypot(
+            np.nan_to_num(sensor_rms), here.spread(framing.evenly_spread(every, _LIKELY_FRAMES, len(frames)))
+        ),
+        remarks=notices + (frequencies.validated_frequencies(beam, observations) if has_mass(beam) else ()),
         static=observations.static,
     )
 
 
 def marker_misfit(
-    beam: Beam, observations: Observations, frames: BoolArray, rest: AtRest, near: Equilibrium | None = None
+    beam: Beam, observations: Observations, frames: BoolArray, rest: fit_data.AtRest, near: Equilibrium | None = None
 ) -> tuple[Array, Equilibrium]:
     """RMS (m,) [m] of each tag in a few frames as in `validate`, NaN if the beam snaps through, and the equilibria.
     `near`: those of a similar beam. Raises `MechanicsError` if k(s) is not positive."""
-    if weighs(observations) and not has_mass(beam):
-        raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
-    problem = make_problem(beam, loads_of(observations, frames), static_poses.resolution_of(observations))
+    if parameters.weighs(observations) and not has_mass(beam):
+        raise LearningError(f"{observations.source.name}: {parameters.NEEDS_MASS}")
+    problem = make_problem(beam, framing.loads_of(observations, frames), static_poses.resolution_of(observations))
     if observations.static:
         solved = static_poses.shapes_of(observations, frames, problem)
     elif near is not None and np.array_equal(near.problem.grid.nodes, problem.grid.nodes):
@@ -129,7 +116,7 @@ def marker_misfit(
     predicted = _predicted(solved, observations, frames, rest.offset)
     if not np.all(solved.converged):
         return np.full(len(observations.marker_s), np.nan), solved
-    return marker_rms(from_the_clamp(observations, frames, predicted) - predicted), solved
+    return framing.marker_rms(framing.from_the_clamp(observations, frames, predicted) - predicted), solved
 
 
 def solved_frames(
@@ -137,7 +124,7 @@ def solved_frames(
 ) -> Iterator[Equilibrium]:
     """Equilibria under the measured loads, in chunks; for static poses those that their points show; for a film near
     shapes (F, Q), if known."""
-    loads = loads_of(observations, frames)
+    loads = framing.loads_of(observations, frames)
     if not observations.static and near is not None:
         yield refine(make_problem(beam, loads, static_poses.RESOLUTION), near)
     elif not observations.static:
@@ -157,25 +144,21 @@ def _at_rest(beam: Beam) -> Equilibrium:
 def mounting(solved: Equilibrium, observations: Observations) -> Array:
     """(m, 2) m, of each tag from its place on the beam at rest, in the tangent's frame; 0 where it was not seen.
     `solved`: one frame with nothing on the beam."""
-    alpha, away = solved.angle(observations.marker_s)[0], observations.rest_xy - solved.xy(observations.marker_s)[0]
-    cos, sin = np.cos(alpha), np.sin(alpha)
-    offset = np.stack([cos * away[:, 0] + sin * away[:, 1], -sin * away[:, 0] + cos * away[:, 1]], axis=1)
-    return np.where(np.isfinite(offset).all(axis=1)[:, None], offset, 0.0)
+    s = observations.marker_s
+    offset = rotated(observations.rest_xy - solved.xy(s)[0], -solved.angle(s)[0])
+    return np.where(np.isfinite(offset).all(axis=1, keepdims=True), offset, 0.0)
 
 
 def _predicted(solved: Equilibrium, observations: Observations, frames: BoolArray, offset: Array) -> Array:
     """(F, m, 2) where the tags of the simulated beam are in those frames (T,), or what of it is under rulers."""
     if observations.readings.at == "mark":
         return _tags(solved, observations.marker_s, offset)
-    return np.where(solved.converged[:, None, None], points_of(observations, frames, solved), np.nan)
+    return np.where(solved.converged[:, None, None], framing.points_of(observations, frames, solved), np.nan)
 
 
 def _tags(solved: Equilibrium, s: Array, offset: Array) -> Array:
     """(T, m, 2) where the tags of the simulated beam are. NaN where the branch of equilibria ended before the load."""
-    angle = solved.angle(s)
-    cos, sin = np.cos(angle), np.sin(angle)
-    dx, dy = offset[:, 0], offset[:, 1]
-    out = solved.xy(s) + np.stack([cos * dx - sin * dy, sin * dx + cos * dy], axis=-1)
+    out = solved.xy(s) + rotated(offset, solved.angle(s))
     return np.asarray(np.where(solved.converged[:, None, None], out, np.nan))
 
 
@@ -183,7 +166,7 @@ def _by_sensor(solved: Equilibrium, observations: Observations, frames: BoolArra
     """(F, m) m^2 that errors of `force_sd` in the force alone would give in those frames (T,), to first order."""
     if not np.all(np.isfinite(observations.force_sd)):
         return np.full((len(solved.q), len(observations.marker_s)), np.nan)
-    at = push_places(observations)[frames]
+    at = framing.push_places(observations)[frames]
     response = respond(solved, of_force(solved.problem, at)).xy(observations.marker_s)  # (F, m, 2, 2)
     return np.asarray(np.einsum("tmcd,d->tm", response**2, observations.force_sd**2))
 
@@ -195,9 +178,9 @@ def _likely_rms(
     held ends."""
     if stiffness is None or static_poses.is_held(observations):
         return np.full(len(observations.marker_s), np.nan)
-    few = few_frames(frames)
+    few = prediction.few_frames(frames)
     [solved] = solved_frames(beam, observations, few)
-    parts = variances(solved, observations, few, stiffness)
+    parts = prediction.variances(solved, observations, few, stiffness)
     return np.asarray(np.sqrt(np.nan_to_num(sensor_rms) ** 2 + sum(parts.values())))
 
 
@@ -236,13 +219,13 @@ class _Pushed:
         squares = np.mean(np.sum(away**2, axis=-1), axis=1, where=stands)  # (draws, m)
         variance = np.nanquantile(squares, _ONE_SD, axis=0)  # not their mean, which one draw may decide
         left = 2.0 * self.setup.discrepancy**2 * np.mean(np.sum(moved**2, axis=-1), axis=0)
-        seen = np.nan_to_num(typical(np.trace(self.observations.covariance[few, :, :2, :2], axis1=2, axis2=3)))
+        seen = np.nan_to_num(nan_median(np.trace(self.observations.covariance[few, :, :2, :2], axis1=2, axis2=3)))
         return np.asarray(np.sqrt(variance + left + seen))
 
 
 def _one_push(o: Observations) -> bool:
     """Whether it is a film of a push at one place, with nothing else on the beam that changes."""
-    places = push_places(o)
+    places = framing.push_places(o)
     one = o.known_loads is None and o.held is None and not o.static and np.any(o.force != 0.0)
     still = not np.any(o.gravity != o.gravity[0]) and float(np.nanmax(places) - np.nanmin(places)) < _SAME_PLACE
     return bool(one and still and o.readings.at == "mark")
@@ -253,8 +236,8 @@ def _as_pushed(setup: SetUp, o: Observations, frames: BoolArray) -> SetUp:
     the posture a share of the force here. Over all of a push the material has relaxed as k(s) says."""
     sd = setup.prior_sd.copy()
     sd[setup.columns.get("place", slice(0))] = max(o.stated.place_sd, _SAME_PLACE * o.length)
-    sd[setup.columns.get("force error", slice(0))] = posture_sd(course_of(o, frames))
-    at = float(np.nanmedian(push_places(o)))
+    sd[setup.columns.get("force error", slice(0))] = allowances.posture_sd(allowances.course_of(o, frames))
+    at = float(np.nanmedian(framing.push_places(o)))
     return replace(setup, push_s=at, prior_sd=sd, reached_at_largest=()).renewed(["contact"], length=o.length)
 
 

@@ -8,17 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from onebend.learning.allowances import BETWEEN
-from onebend.learning.criticism import ALARM_WRITTEN, Finding
-from onebend.learning.fit_data import FitData
-from onebend.learning.frames import zeroed_coordinates
-from onebend.learning.optimizer import recording_rms
+from onebend.learning import allowances, criticism, fit_data, frames, optimizer, parameters, push_place, static_poses
 from onebend.learning.outcome import Comparison, Explained, Notice
-from onebend.learning.parameters import Layout, LearnedMass, clamp_sd
 from onebend.learning.posterior import Posterior
 from onebend.learning.prediction import Prediction
-from onebend.learning.push_place import FAR, LIKELIER, moved_off
-from onebend.learning.static_poses import pose_names
 from onebend.progress import one_blas_thread
 from onebend.records import Array, Observations, read_before_fit
 
@@ -52,7 +45,7 @@ def fit_notices(posterior: Posterior) -> tuple[Notice, ...]:
     return (*wrong, *_test_notices(posterior), *odd)
 
 
-def mass_notices(mass: LearnedMass | None) -> tuple[Notice, ...]:
+def mass_notices(mass: parameters.LearnedMass | None) -> tuple[Notice, ...]:
     """A notice of the learned mass, and of how it is spread if that is stated."""
     if mass is None:
         return ()
@@ -81,7 +74,7 @@ def criticism_notices(posterior: Posterior) -> tuple[Notice, ...]:
     return (Notice("more by a cause" if rest else "more", values), *slight)
 
 
-def cause(finding: Finding, posterior: Posterior) -> Notice:
+def cause(finding: criticism.Finding, posterior: Posterior) -> Notice:
     """The code of the cause that a test is of, with its numbers."""
     suspect, data = finding.score.suspect, [one.observations for one in posterior.recordings]
     values: dict[str, Any] = {
@@ -124,7 +117,7 @@ def _variant(name: str, value: float, posterior: Posterior) -> tuple[str, dict[s
     return " a section" if section else "", {}
 
 
-def what_is_tested(finding: Finding, posterior: Posterior) -> Notice:
+def what_is_tested(finding: criticism.Finding, posterior: Posterior) -> Notice:
     """What a test is of, whether or not it stands out."""
     if finding.score.able or finding.score.suspect.kind == "trend":
         found = cause(finding, posterior)
@@ -144,7 +137,7 @@ def unseen_place(posterior: Posterior) -> Notice | None:
                 "change": float(np.expm1(share * one.shift)),
                 "sds": share * one.sds,
                 "allowed": max(data.observations.stated.place_sd for data in posterior.recordings),
-                "noticed": -ALARM_WRITTEN * float(one.score.sd[0]) * length,  # about 3 sd
+                "noticed": -criticism.ALARM_WRITTEN * float(one.score.sd[0]) * length,  # about 3 sd
             }
             return Notice("unseen place", values)
     return None
@@ -154,7 +147,7 @@ def fitted_rms(posterior: Posterior) -> tuple[Array, ...]:
     """(m,) m of each recording: distance of the tags from the fit with all nuisances, the force log's slow error
     included; NaN for a tag never seen. Where there are no tags, of the few points that stand for an outline."""
     pairs = zip(posterior.recordings, posterior.slow, strict=True)
-    return tuple(recording_rms(data, now)[read_before_fit(data.observations)] for data, now in pairs)
+    return tuple(optimizer.recording_rms(data, now)[read_before_fit(data.observations)] for data, now in pairs)
 
 
 def possible(posterior: Posterior) -> Posterior:
@@ -165,7 +158,7 @@ def possible(posterior: Posterior) -> Posterior:
     return replace(posterior, criticism=replace(critic, findings=kept))
 
 
-def _can_be(finding: Finding, posterior: Posterior) -> bool:
+def _can_be(finding: criticism.Finding, posterior: Posterior) -> bool:
     suspect = finding.score.suspect
     whose = [one.observations for one in posterior.recordings]
     whose = [one for one in whose if suspect.recording in ("", one.source.name)]
@@ -192,12 +185,12 @@ def _miss(posterior: Posterior, name: str, tag: str, rms: float, motion: float) 
 
 
 def _push_elsewhere(posterior: Posterior) -> list[Notice]:
-    found, off = posterior.place, moved_off(posterior.layout, posterior.mean)
-    if off > FAR and not (found is not None and found.accused):
+    found, off = posterior.place, push_place.moved_off(posterior.layout, posterior.mean)
+    if off > push_place.FAR and not (found is not None and found.accused):
         return [Notice("push moved", {"times": off})]
     if found is None or not (found.accused or found.open):
         return []
-    likelier = "push likelier elsewhere" if found.mistaken > LIKELIER else "push place open"
+    likelier = "push likelier elsewhere" if found.mistaken > push_place.LIKELIER else "push place open"
     values = {"where": found.range, "written": found.written}
     return [Notice("push elsewhere" if found.accused else likelier, values)]
 
@@ -205,7 +198,7 @@ def _push_elsewhere(posterior: Posterior) -> list[Notice]:
 def _left_out(posterior: Posterior) -> list[Notice]:
     out = []
     for data, left_out in zip(posterior.recordings, posterior.left_out, strict=True):
-        names = pose_names(data.observations, left_out)
+        names = static_poses.pose_names(data.observations, left_out)
         if names:
             code = "pose left out" if len(names) == 1 else "poses left out"
             out.append(Notice(code, {"names": ", ".join(names)}, _whose(posterior, data.observations.source.name)))
@@ -239,7 +232,7 @@ def _hanging(posterior: Posterior) -> list[Notice]:
 def _free_clamp(posterior: Posterior) -> list[Notice]:
     seen = [data.observations for data in posterior.recordings]
     every = [o if o.static else replace(o, stated=replace(o.stated, clamp_sd=np.nan)) for o in seen]
-    usual = max(clamp_sd(o) for o in every)
+    usual = max(parameters.clamp_sd(o) for o in every)
     sd = max((float(b.prior_sd[0]) for b in posterior.layout.blocks if b.name == "clamp"), default=usual)
     return [] if sd <= 1.001 * usual else [Notice("free clamp", {"sd": sd, "usual": usual})]
 
@@ -247,7 +240,7 @@ def _free_clamp(posterior: Posterior) -> list[Notice]:
 def _far_nuisances(posterior: Posterior) -> list[Notice]:
     struck = {(f.score.suspect.name, f.score.suspect.tag) for f in posterior.criticism.striking}
     ids = posterior.recordings[0].observations.tag_id[posterior.recordings[0].tags].tolist()
-    skipped = {"stiffness", "force", BETWEEN}
+    skipped = {"stiffness", "force", allowances.BETWEEN}
     skipped |= {a.name for data in posterior.recordings for a in data.allowances if a.enters == "poses" and a.sized}
     out = []
     for block in posterior.layout.blocks:
@@ -256,7 +249,7 @@ def _far_nuisances(posterior: Posterior) -> list[Notice]:
         away = np.abs(posterior.mean[block.where]) / block.prior_sd
         for i in np.flatnonzero(away > _FAR):
             tag = ids[i] if block.name in _OF_A_TAG else -1
-            told = block.name == "place" and away[i] > FAR
+            told = block.name == "place" and away[i] > push_place.FAR
             if not told and (_TESTED_AS.get(block.name, block.name), tag) not in struck:
                 out.append(Notice("far nuisance", {"name": block.labels[i], "times": float(away[i])}))
     return out
@@ -286,7 +279,7 @@ def explained(posterior: Posterior) -> tuple[Explained, ...]:
     return tuple(_one(posterior, recording, prediction, rms) for recording, prediction, rms in parts)
 
 
-def _one(posterior: Posterior, data: FitData, prediction: Prediction, rms: Array) -> Explained:
+def _one(posterior: Posterior, data: fit_data.FitData, prediction: Prediction, rms: Array) -> Explained:
     observations, x, layout = data.observations, posterior.mean, posterior.layout
     used = slice(0, int(np.sum(data.frames)))  # beyond them stands the beam at rest
     scale, origin = 1.0 + layout.get(x, "scale", data.number), layout.get(x, "origin", data.number)
@@ -311,10 +304,10 @@ def _one(posterior: Posterior, data: FitData, prediction: Prediction, rms: Array
     return Explained(comparison, scale * prediction.solved.xy(PLACES)[used] + origin, data.force[used])
 
 
-def _points(data: FitData, layout: Layout, x: Array, poses: Array) -> Array:
+def _points(data: fit_data.FitData, layout: parameters.Layout, x: Array, poses: Array) -> Array:
     """(F, m, 2) m, poses (F, m, 3) counted from the clamp, and at their rulers."""
     points, zeros = poses[..., :2].copy(), layout.get(x, "zero", data.number)
-    for (i, c), zero in zip(zeroed_coordinates(data.observations), zeros, strict=True):
+    for (i, c), zero in zip(frames.zeroed_coordinates(data.observations), zeros, strict=True):
         points[:, i, c] += zero
     if data.rulers is not None:
         points[..., 0] = np.where(np.isfinite(points[..., 1]), data.rulers, np.nan)

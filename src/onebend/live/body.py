@@ -9,23 +9,8 @@ from typing import Any
 import numpy as np
 
 from onebend.errors import ObservationError
-from onebend.recording.camera import Poses, drop, measure_markers, points_in_plane
-from onebend.recording.entries import Recording
-from onebend.recording.flanks import MEASURED, SIDES, BodyPlace, Planes, Sight, planes_of
-from onebend.recording.outline import (
-    PLACES,
-    FlankFollower,
-    OutlineSearch,
-    body_place,
-    body_width,
-    centreline,
-    points_of,
-    track_of,
-)
-from onebend.recording.plane import project
-from onebend.recording.signals import nan_mean
+from onebend.recording import camera, entries, flanks, outline as outlines, plane, signals, video
 from onebend.recording.tags import TrackedFrame, Tracker
-from onebend.recording.video import Picture
 from onebend.records import Array, BoolArray, Detections, IntArray, OutlineTrack, View
 
 GIVEN_UP = 60  # pictures in a row without the outline: beside tags it is followed no more. One in which it was looked
@@ -44,13 +29,13 @@ class OutlineSighting:
     away: Array  # (2, M) m; NaN where the body was lost
     shift: Array  # (2,) px, of the picture against the one in which the body was found
 
-    def drawn(self, follower: FlankFollower) -> Array:
+    def drawn(self, follower: outlines.FlankFollower) -> Array:
         """(c, 2) px along the middle between the flanks, NaN where they were not seen."""
         assert follower.body is not None
         place, every = follower.place, max(1, follower.place.stations.count // DRAWN)
         curve = place.stations.curve(self.state)
-        middle = nan_mean(self.away - SIDES[:, None] * follower.body.half)
-        return (project(place.view, curve.xy + middle[:, None] * curve.normal) + self.shift)[::every]
+        middle = signals.nan_mean(self.away - flanks.SIDES[:, None] * follower.body.half)
+        return (plane.project(place.view, curve.xy + middle[:, None] * curve.normal) + self.shift)[::every]
 
 
 @dataclass(frozen=True)
@@ -65,9 +50,9 @@ class BodyFrame(TrackedFrame):
 class BodyTracker:
     """Follows tags and outline through the pictures of one camera. Not thread-safe."""
 
-    def __init__(self, rec: Recording) -> None:
+    def __init__(self, rec: entries.Recording) -> None:
         self.why = "" if rec.tags.on_beam else NOT_SEEN  # nothing is seen of the body in the newest picture
-        self.follower: FlankFollower | None = None
+        self.follower: outlines.FlankFollower | None = None
         self._rec, self._next, self._corners, self._lost = rec, -np.inf, np.empty(0), 0
         self._tags = Tracker([tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)], rec.tags.family)
 
@@ -76,13 +61,15 @@ class BodyTracker:
         """As of `Tracker`."""
         return self._tags.kept
 
-    def step(self, picture: Picture, time: float, colour: Any = None) -> TrackedFrame:
+    def step(self, picture: video.Picture, time: float, colour: Any = None) -> TrackedFrame:
         """As `Tracker.step`; `colour`: the same picture as `av.VideoFrame`, where there is more than grey."""
         seen = self._tags.step(picture, time)
         if not self._rec.traces_outline or (self._rec.tags.on_beam and self._lost > GIVEN_UP):
             return seen
         planes = (
-            Planes(picture, np.full((2, 2, 2), 128, np.uint8)) if colour is None else planes_of(self._rec, 0, colour)
+            flanks.Planes(picture, np.full((2, 2, 2), 128, np.uint8))
+            if colour is None
+            else flanks.planes_of(self._rec, 0, colour)
         )
         outline = self._outline(planes, seen)
         if outline is None or self.follower is None:
@@ -95,7 +82,7 @@ class BodyTracker:
             places = np.where(np.isfinite(outline.away).any(), places, np.nan)
         return BodyFrame(**vars(seen), outline=outline, curve=outline.drawn(self.follower), places=places)
 
-    def _outline(self, planes: Planes, seen: TrackedFrame) -> OutlineSighting | None:
+    def _outline(self, planes: flanks.Planes, seen: TrackedFrame) -> OutlineSighting | None:
         base = len(self._rec.tags.on_base)
         if not np.isfinite(seen.corners[:base]).any() or (self.follower is None and seen.time < self._next):
             return None
@@ -105,11 +92,14 @@ class BodyTracker:
                 height, width = seen.shape
                 tag_id = np.array([tag.id for tag in (*self._rec.tags.on_base, *self._rec.tags.on_beam)])
                 found = Detections(np.array([seen.time]), tag_id, seen.corners[None], width, height)
-                view = measure_markers(found, self._rec).view
+                view = camera.measure_markers(found, self._rec).view
                 assert view is not None
-                self.follower, self._corners = FlankFollower(body_place(self._rec, view)), seen.corners[:base]
-            shift = np.nan_to_num(nan_mean((seen.corners[:base] - self._corners).reshape(-1, 2)))
-            state, away = self.follower.step(Sight(planes, self.follower.place.view, shift))
+                self.follower, self._corners = (
+                    outlines.FlankFollower(outlines.body_place(self._rec, view)),
+                    seen.corners[:base],
+                )
+            shift = np.nan_to_num(signals.nan_mean((seen.corners[:base] - self._corners).reshape(-1, 2)))
+            state, away = self.follower.step(flanks.Sight(planes, self.follower.place.view, shift))
         except ObservationError as wrong:
             self.follower, why = None, str(wrong).removeprefix(f"{self._rec.name}: ")
             self.why, self._lost = "" if self._rec.tags.on_beam else why, self._lost + GIVEN_UP // 3
@@ -129,59 +119,59 @@ def curve_in(seen: TrackedFrame) -> Array:
 class SeenOutline:
     """The outline in T frames."""
 
-    place: BodyPlace
+    place: flanks.BodyPlace
     half: Array  # (M,) m, half the width where the body was found
-    found: OutlineSearch
+    found: outlines.OutlineSearch
     shift: Array  # (T, 2) px
 
     @property
     def track(self) -> OutlineTrack:
         """Its points. Raises `ObservationError` where what was followed is no body."""
-        return track_of(self.place, self.found, self.half, self.shift)
+        return outlines.track_of(self.place, self.found, self.half, self.shift)
 
 
-def outline_in(frames: Iterable[TrackedFrame], follower: FlankFollower | None) -> SeenOutline | None:
+def outline_in(frames: Iterable[TrackedFrame], follower: outlines.FlankFollower | None) -> SeenOutline | None:
     """The outline in these frames; None where it was never found."""
     if follower is None or follower.body is None:
         return None
     nothing = OutlineSighting(follower.body.state, np.full((2, follower.place.stations.count), np.nan), np.zeros(2))
     every = [one.outline if isinstance(one, BodyFrame) and one.outline is not None else nothing for one in frames]
     state, away, shift = (np.stack([getattr(one, name) for one in every]) for name in ("state", "away", "shift"))
-    return SeenOutline(follower.place, follower.body.half, OutlineSearch(state, away), shift)
+    return SeenOutline(follower.place, follower.body.half, outlines.OutlineSearch(state, away), shift)
 
 
 @dataclass(frozen=True)
 class PointReader:
     """What turns the flanks in a frame into points of the body."""
 
-    place: BodyPlace
+    place: flanks.BodyPlace
     half: Array  # (M,) m
     kept: IntArray  # (n,) which of `PLACES`
     covariance: Array  # (n, 3, 3) of a point in one frame
     traced: BoolArray  # (m,) which of tags and points together, in the order of their places, they are
     height: Array  # (N,) m, of all places of an outline over the tags' plane
 
-    def beside(self, tags: Poses, view: View, seen: OutlineSighting | None) -> Poses:
+    def beside(self, tags: camera.Poses, view: View, seen: OutlineSighting | None) -> camera.Poses:
         """(1, m) the tags (1, m - n) and the points, in the order of their places."""
         order = np.argsort(np.concatenate([np.flatnonzero(~self.traced), np.flatnonzero(self.traced)]))
         pairs = zip(vars(tags).values(), vars(self.poses(view, seen)).values(), strict=True)
-        return Poses(*(np.concatenate(pair, axis=1)[:, order] for pair in pairs))
+        return camera.Poses(*(np.concatenate(pair, axis=1)[:, order] for pair in pairs))
 
-    def poses(self, view: View, seen: OutlineSighting | None) -> Poses:
+    def poses(self, view: View, seen: OutlineSighting | None) -> camera.Poses:
         """(1, n) points in the view's plane; NaN where they were not seen."""
         stations, scale, n = self.place.stations, self.place.scale, len(self.kept)
         if seen is None or not np.isfinite(seen.away).any():
-            return Poses(np.full((1, n, 2), np.nan), np.full((1, n), np.nan), self.covariance[None])
-        found = OutlineSearch(seen.state[None], seen.away[None])
-        middle = centreline(found, stations, self.half, MEASURED / scale)
-        track = points_of(middle, found, stations, self.place.view, seen.shift[None], scale)
-        poses = points_in_plane(view, track, self.height)
-        poses = drop(poses, ~np.isfinite(track.sd))
-        return Poses(poses.xy[:, self.kept], poses.angle[:, self.kept], self.covariance[None])
+            return camera.Poses(np.full((1, n, 2), np.nan), np.full((1, n), np.nan), self.covariance[None])
+        found = outlines.OutlineSearch(seen.state[None], seen.away[None])
+        middle = outlines.centreline(found, stations, self.half, flanks.MEASURED / scale)
+        track = outlines.points_of(middle, found, stations, self.place.view, seen.shift[None], scale)
+        poses = camera.points_in_plane(view, track, self.height)
+        poses = camera.drop(poses, ~np.isfinite(track.sd))
+        return camera.Poses(poses.xy[:, self.kept], poses.angle[:, self.kept], self.covariance[None])
 
 
 def point_reader(outline: SeenOutline, s: Array, covariance: Array, traced: BoolArray, height: Array) -> PointReader:
     """The reader of the `traced` (m,) ones among markers at `s` (m,), of these covariances (m, 3, 3) [m^2, rad^2]."""
-    width, _ = body_width(outline.found.away, outline.half)
-    kept = np.searchsorted(PLACES, s[traced] - 1e-9)
+    width, _ = outlines.body_width(outline.found.away, outline.half)
+    kept = np.searchsorted(outlines.PLACES, s[traced] - 1e-9)
     return PointReader(outline.place, 0.5 * width, kept, covariance[traced], traced, height)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -67,13 +68,8 @@ class StateView(Generic[State]):
 def recording_line(state: CaptureState) -> tuple[object, str]:
     """What is said of a recording on a pipe."""
     advice = "; ".join(state.advice[:2])
-    said = state.stage, without_numbers(state.advice[0] if state.advice else "")
+    said = state.stage, re.sub(r"\d", "", state.advice[0] if state.advice else "")  # numbers change all the time
     return said, f"{state.seconds:6.1f} s  {STAGE_NAMES[state.stage]}: {advice}"
-
-
-def without_numbers(text: str) -> str:
-    """The sentence but for the numbers in it, which change all the time."""
-    return "".join(letter for letter in text if not letter.isdigit())
 
 
 def recording_screen(state: CaptureState) -> RenderableType:

@@ -17,6 +17,7 @@ from onebend.live.recording_folder import CRF
 from onebend.options import option
 from onebend.recording.entries import Recording, TagsEntry
 from onebend.recording.preview import SMALLEST
+from onebend.recording.signals import nan_mean
 from onebend.recording.video import Picture
 from onebend.records import Array
 from onebend.report.sentences import say
@@ -259,15 +260,13 @@ class Stages:
         sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).mean(axis=1)
         if not np.isfinite(sides).any():
             return np.full((len(corners) - self._base, 2), np.nan)
-        base = centres[: self._base]
-        origin = np.nanmean(base, axis=0) if np.isfinite(base).any() else np.full(2, np.nan)
         unit = float(np.nanmedian(sides)) * self._length / self._size
-        return np.asarray((centres[self._base :] - origin) / unit)
+        return np.asarray((centres[self._base :] - nan_mean(centres[: self._base])) / unit)
 
     def _measure(self, places: Array) -> None:
-        zero = self._zero if self._zero is not None else _mean(self._rest)
-        if zero is None:
+        if self._zero is None and not self._rest:
             return
+        zero = nan_mean(np.array(self._rest)) if self._zero is None else self._zero
         away = np.linalg.norm(places - zero, axis=1)
         if np.isfinite(away).any():
             tip = float(away[self._tip])
@@ -299,7 +298,7 @@ class Stages:
             self.restless = False
 
     def _await_push(self) -> None:
-        self._zero, self._threshold, self.stage = _mean(self._rest), self._moved_at(), "push"
+        self._zero, self._threshold, self.stage = nan_mean(np.array(self._rest)), self._moved_at(), "push"
 
     def _moved_at(self) -> float:
         """In lengths of the beam: what is farther from its rest has moved."""
@@ -325,15 +324,6 @@ class Stages:
         moved = [np.linalg.norm(places - last, axis=1) for _, places in self._recent]
         worst = np.concatenate(moved)
         return bool(np.nanmax(worst) < max(self._threshold, 0.01 * self.largest)) if np.isfinite(worst).any() else False
-
-
-def _mean(places: list[Array]) -> Array | None:
-    """(m, 2) mean of the sightings; NaN for a tag that was never seen."""
-    if not places:
-        return None
-    stacked = np.array(places)
-    count = np.isfinite(stacked).sum(axis=0)
-    return np.asarray(np.where(count > 0, np.nansum(stacked, axis=0) / np.maximum(count, 1), np.nan))
 
 
 def stage_advice(stages: Stages, settings: CaptureSettings, half_width: float) -> list[str]:

@@ -16,12 +16,9 @@ import numpy as np
 from onebend.errors import ObservationError
 from onebend.live.body import BodyFrame, OutlineSighting, PointReader, SeenOutline, point_reader
 from onebend.live.replayed import LiveFrame
-from onebend.recording.camera import Poses, drop, height_along, measure_poses, part, relative_to, together
-from onebend.recording.entries import Recording
+from onebend.recording import camera, entries, signals, tags
 from onebend.recording.force import to_beam
 from onebend.recording.outline import PLACES
-from onebend.recording.signals import LATEST, nan_median
-from onebend.recording.tags import BlockTracks, TrackedFrame
 from onebend.records import Array, Observations, View, read_before_fit
 
 _MOST_SIGHTINGS = 1000  # of unexpected and of doubled tags
@@ -34,7 +31,7 @@ class FrameHistory:
         """An empty store of at most `most` frames. Those with a time in `spared`, of which there are far fewer, stay
         where every other one goes."""
         self._most, self._spared, self._every, self._skipped = most, spared, 1, 0
-        self._frames: list[TrackedFrame] = []
+        self._frames: list[tags.TrackedFrame] = []
         self._looks = 0
         self._strangers: deque[int] = deque(maxlen=_MOST_SIGHTINGS)
         self._doubles: deque[tuple[int, int]] = deque(maxlen=_MOST_SIGHTINGS)
@@ -44,7 +41,7 @@ class FrameHistory:
     def __len__(self) -> int:
         return len(self._frames)
 
-    def add(self, frame: TrackedFrame) -> None:
+    def add(self, frame: tags.TrackedFrame) -> None:
         """Put a frame in its place in time."""
         self._looks += frame.looked
         self._strangers.extend(frame.strangers)
@@ -66,14 +63,14 @@ class FrameHistory:
             self._shifts = {key: shift for key, shift in self._shifts.items() if key in kept}
 
     @property
-    def frames(self) -> tuple[TrackedFrame, ...]:
+    def frames(self) -> tuple[tags.TrackedFrame, ...]:
         """Those that are kept."""
         return tuple(self._frames)
 
-    def tracks(self) -> BlockTracks:
+    def tracks(self) -> tags.BlockTracks:
         """The frames kept. A tag at rest is corrected in all its frames by what the last of them say."""
         frames = self._frames
-        return BlockTracks(
+        return tags.BlockTracks(
             time=np.array([one.time for one in frames]),
             corners=self._corrected(),
             searched=np.ones(len(frames), dtype=bool),
@@ -120,7 +117,7 @@ class ForceHistory:
 
     def add(self, rows: Array) -> None:
         """Put rows (n, c) in their places. A row with a time that is none is left out; NaN forces are a gap."""
-        good = np.isfinite(rows[:, 0]) & (np.abs(rows[:, 0]) < LATEST)
+        good = np.isfinite(rows[:, 0]) & (np.abs(rows[:, 0]) < signals.LATEST)
         self.count += len(rows)
         self.refused += len(rows) - int(np.sum(good))
         rows = rows[good]
@@ -219,14 +216,14 @@ class FrameReader:
         """(m, 2) m, (m,) rad and (m, 3, 3): the beam's tags in its frame, from corners (b + tags, 4, 2) px, and points
         of its outline."""
         noise = max(self.view.corner_sd, _LEAST_SD)
-        poses, misfit, _ = measure_poses(self.view, corners[None], self.tag_size, noise=noise, refinements=1)
-        poses = drop(poses, misfit > _WRONG * noise)
-        poses = Poses(poses.xy, poses.angle - self.turn, poses.covariance)
+        poses, misfit, _ = camera.measure_poses(self.view, corners[None], self.tag_size, noise=noise, refinements=1)
+        poses = camera.drop(poses, misfit > _WRONG * noise)
+        poses = camera.Poses(poses.xy, poses.angle - self.turn, poses.covariance)
         base = len(self.base_s)
-        own = part(poses, slice(base, None))
+        own = camera.part(poses, slice(base, None))
         own = own if self.points is None else self.points.beside(own, self.view, outline)
         if self.follows_base:
-            own = relative_to(together(part(poses, slice(base)), self.base_s.tolist()), own)
+            own = camera.relative_to(camera.together(camera.part(poses, slice(base)), self.base_s.tolist()), own)
         xy, covariance = own.xy[0], own.covariance[0]
         seen = np.isfinite(xy).all(axis=1)
         away = np.sum((self.known_xy - xy)[:, seen] ** 2, axis=(1, 2))
@@ -245,7 +242,7 @@ class FrameReader:
             return None
         return bool(np.nanmax(away) > max(_TOUCHED_SD * self.rest_sd, _TOUCHED_SHARE * self.largest)) or None
 
-    def frame(self, time: float, seen: TrackedFrame, logged: Array) -> LiveFrame | None:
+    def frame(self, time: float, seen: tags.TrackedFrame, logged: Array) -> LiveFrame | None:
         """What the learner takes of a frame at `time` [s, the frames' clock] with a row (2 or 3) of the log; None where
         nothing is to be learned from it: no tag, no force, or no sure contact."""
         xy, angle, covariance = self.poses(seen.corners, seen.outline if isinstance(seen, BodyFrame) else None)
@@ -257,7 +254,7 @@ class FrameReader:
         return LiveFrame(time + self.offset, xy, angle, covariance, force, place, pushed, self.gravity)
 
 
-def reader_of(rec: Recording, seen: Observations, outline: SeenOutline | None = None) -> FrameReader:
+def reader_of(rec: entries.Recording, seen: Observations, outline: SeenOutline | None = None) -> FrameReader:
     """The reader that goes on from what was observed so far, of frames that show a rest and a push; `outline` where
     points of it are among the markers.
 
@@ -296,8 +293,8 @@ def reader_of(rec: Recording, seen: Observations, outline: SeenOutline | None = 
         else point_reader(
             outline,
             seen.marker_s,
-            nan_median(seen.covariance),
+            signals.nan_median(seen.covariance),
             seen.traced,
-            height_along(view, rec.tags, PLACES),
+            camera.height_along(view, rec.tags, PLACES),
         ),
     )

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from onebend.errors import LearningError
 from onebend.learning.allowances import TIMES, Allowance, PushCourse, allowances_of
 from onebend.recording.force_noise import LoadChange, TimeSpans, load_changes, own_time
-from onebend.records import Array, BoolArray, IntArray
+from onebend.records import Array, BoolArray, IntArray, left_of, unit
 
 # What the allowances know of a frame are their bases. A key frame keeps them, one after the other, as its `terms`.
 # Displacements are over the beam's length; the priors follow the largest one so far (`course_scale`).
@@ -53,7 +53,7 @@ def course_of_frame(
 
 def across_of(angle: Array, traced: BoolArray) -> Array:
     """(m, 2) unit vectors across an outline at its `traced` points (m,), where it has these angles (m,); else zeros."""
-    return np.stack([-np.sin(angle), np.cos(angle)], axis=1) * traced[:, None]
+    return left_of(unit(angle)) * traced[:, None]
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from onebend.beam.grid import powers_to_legendre
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import Powers, Profile, UncertainStiffness, Uniform
+from onebend.beam.stiffness import Profile, UncertainStiffness, Uniform, by_legendre
 from onebend.errors import LearningError
 from onebend.learning.allowances import OF_ONE
 from onebend.learning.parameters import Spline
@@ -212,10 +211,7 @@ class OnlineLearner:
     def beam(self) -> Beam:
         """The beam as it is now."""
         self._state.catch_up()
-        theta0 = self._session.layout.get(self._state.x, "curvature")
-        rest: Profile = Uniform(0.0)
-        if np.any(theta0 != 0.0):
-            rest = Powers(tuple(np.linalg.solve(powers_to_legendre(len(theta0)), theta0).tolist()))
+        rest = by_legendre(self._session.layout.get(self._state.x, "curvature"))
         length = self._session.length
         mass = Uniform(self._session.observations.stated.mass / length)
         return Beam(length, self.stiffness.profile, rest_curvature=rest, mass_per_length=mass)

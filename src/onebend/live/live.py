@@ -18,19 +18,14 @@ from onebend.beam.stiffness import UncertainStiffness, half_width_words
 from onebend.errors import ObservationError, OnebendError, RecordingError
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import Grade
-from onebend.live import review
-from onebend.live.body import BodyTracker, outline_in
-from onebend.live.history import AS_NEAR, ForceHistory, FrameHistory, FrameReader
-from onebend.live.hyperparameters import OnlineSettings
+from onebend.live import body, history, hyperparameters, review
 from onebend.live.learner import OnlineLearner
 from onebend.live.review import ENDED, NO_TAGS, Reviewed, Reviewer, ReviewerBeside, Seen
 from onebend.pipeline import Run, learn_observed
 from onebend.progress import Progress, Silent, one_blas_thread
-from onebend.recording.entries import Recording
-from onebend.recording.folder import read_recording
+from onebend.recording import entries, folder, tool
 from onebend.recording.observe import ObserveSettings
 from onebend.recording.tags import TrackedFrame
-from onebend.recording.tool import KeptSmall
 from onebend.recording.video import Picture
 from onebend.records import Array, ClockOffset, Remark
 from onebend.report.confidence import identified_ranges, identified_words, typical_half_width
@@ -52,14 +47,14 @@ Frame = tuple[float, TrackedFrame]  # time [s, the frames' clock]
 class Learning:
     """A learner with what it needs of each frame, and the frames that it still has to see."""
 
-    reader: FrameReader
+    reader: history.FrameReader
     learner: OnlineLearner
     behind: deque[Frame] = field(default_factory=deque)
     learned: int = 0  # frames, one by one
     doubts: tuple[str, ...] = ()
     force: Array = field(default_factory=lambda: np.full(2, np.nan))  # (2,) N, at the last frame
 
-    def update(self, log: ForceHistory, time: float, seen: TrackedFrame, ahead: float) -> None:
+    def update(self, log: history.ForceHistory, time: float, seen: TrackedFrame, ahead: float) -> None:
         """Teach it one frame; `ahead`: as `FrameReader.stands_in`."""
         wanted = time + self.reader.offset
         if len(log) and wanted - log.newest <= self.reader.stands_in(ahead):
@@ -76,7 +71,7 @@ class Learning:
 class Following:
     """The frames on their way into k(s)."""
 
-    def __init__(self, log: ForceHistory, wait: float, most: int) -> None:
+    def __init__(self, log: history.ForceHistory, wait: float, most: int) -> None:
         """Nothing yet. A frame waits no longer than `wait` [s, of later frames] for its force; at most `most` frames
         are kept that no review has seen."""
         self.reviewed: Reviewed | None = None
@@ -137,12 +132,12 @@ class Following:
                 self._catch_up(self._coming)
             self.until = time
 
-    def _there(self, time: float, reader: FrameReader) -> bool:
+    def _there(self, time: float, reader: history.FrameReader) -> bool:
         """Whether a frame at `time` need not wait for more of the log."""
         waited, lacks, stands_in = self._waiting[-1][0] - time, time + reader.offset - self._log.newest, 0.0
         if lacks > -HALF:
             stands_in = reader.stands_in(self.ahead)
-        near = min(AS_NEAR * reader.offset_sd, LONGEST_GAP)
+        near = min(history.AS_NEAR * reader.offset_sd, LONGEST_GAP)
         at_once = lacks <= (stands_in if stands_in > HALF else -HALF)
         return at_once or (waited >= _SOON and lacks <= near) or waited >= self._wait
 
@@ -273,7 +268,7 @@ class LiveSettings:
     least_apart: float = 1.0  # and s longer
     wait: float = 2.0  # s: a frame waits no longer for the force at its time, and is then left to the next review
     observing: ObserveSettings = field(default_factory=ObserveSettings)
-    learning: OnlineSettings = field(default_factory=OnlineSettings)
+    learning: hyperparameters.OnlineSettings = field(default_factory=hyperparameters.OnlineSettings)
 
 
 class Live:
@@ -285,7 +280,7 @@ class Live:
 
     def __init__(
         self,
-        recording: Recording | Path | str,
+        recording: entries.Recording | Path | str,
         *,
         clock: tuple[float, float] | None = None,
         settings: LiveSettings = LiveSettings(),
@@ -304,7 +299,7 @@ class Live:
         Raises:
             RecordingError: `recording.toml` cannot be read, or shows no [video] with tags.
         """
-        rec = recording if isinstance(recording, Recording) else read_recording(recording, filmed=False)
+        rec = recording if isinstance(recording, entries.Recording) else folder.read_recording(recording, filmed=False)
         if rec.video is None:
             raise RecordingError(f"{rec.folder}: a live camera needs [video] and [tags] in recording.toml.")
         if rec.gravity is not None and rec.gravity.base_angle_file is not None:
@@ -313,10 +308,10 @@ class Live:
                 "base alone."
             )
         self.recording, self.settings, self._clock = rec, settings, clock
-        self._tracker = BodyTracker(rec)
-        self._small = KeptSmall(rec.beam.length, rec.tags.size, settings.most_frames // 4)
-        self._frames = FrameHistory(settings.most_frames, self._small)
-        self._log = ForceHistory(settings.most_rows, 4 if rec.push is not None and rec.push.column else 3)
+        self._tracker = body.BodyTracker(rec)
+        self._small = tool.KeptSmall(rec.beam.length, rec.tags.size, settings.most_frames // 4)
+        self._frames = history.FrameHistory(settings.most_frames, self._small)
+        self._log = history.ForceHistory(settings.most_rows, 4 if rec.push is not None and rec.push.column else 3)
         made = ReviewerBeside if beside else Reviewer
         self._reviewer: Reviewer = made(settings.observing, settings.learning)
         self._begin = math.nan  # s, the camera's clock, of the first frame
@@ -499,7 +494,7 @@ class Live:
         return replace(clock, offset=clock.offset - self._begin, stated=clock.stated - self._begin)
 
     def _seen(self) -> Seen:
-        outline = outline_in(self._frames.frames, self._tracker.follower)
+        outline = body.outline_in(self._frames.frames, self._tracker.follower)
         return Seen(self.recording, self._frames.tracks(), self._log.rows.copy(), outline)
 
     def _review(self, now: float) -> None:

@@ -13,20 +13,10 @@ import numpy as np
 from onebend.beam.continuation import ContinuationSettings
 from onebend.beam.problem import Resolution
 from onebend.beam.setup import MOST_REACHED
-from onebend.learning import allowances as effects
+from onebend.learning import allowances as effects, parameters
 from onebend.learning.fit_data import FitData, fit_data
 from onebend.learning.force_error import SpannedError
 from onebend.learning.linear import FitProblem, Hyperparameters
-from onebend.learning.parameters import (
-    MASS_SPREAD,
-    STATED_ERRORS,
-    Block,
-    Layout,
-    Spline,
-    inside,
-    layout_of,
-    without_recording,
-)
 from onebend.learning.prediction import predict
 from onebend.learning.sites import is_shaped
 from onebend.live.key_frames import FrameTerms, KeyFrames, course_of_frame, course_scale
@@ -49,7 +39,7 @@ class LiveSession:
     """The beam, its tags and its parameters. Sessions are equal only to themselves."""
 
     observations: Observations  # beam and tags as stated, in one frame that shows nothing
-    layout: Layout
+    layout: parameters.Layout
     course: effects.PushCourse  # of one frame
     allowances: tuple[effects.Allowance, ...] = ()  # with their bases in one frame, where they have some
 
@@ -86,7 +76,7 @@ class LiveSession:
         return np.concatenate([np.zeros(0), *(b.prior_sd * own.get(b.name, 1.0) for b in blocks)])
 
     @cached_property
-    def bounded(self) -> tuple[Block, ...]:
+    def bounded(self) -> tuple[parameters.Block, ...]:
         """The blocks whose priors are not normal."""
         return tuple(b for b in self.layout.blocks if is_shaped(b))
 
@@ -113,7 +103,7 @@ class FrameInputs:
 
 
 def session_of(
-    spline: Spline,
+    spline: parameters.Spline,
     marker_s: Array,
     sds: Mapping[str, float],
     *,
@@ -132,17 +122,19 @@ def session_of(
     """
     course = course_of_frame(marker_s, length, tag_size, thick=bool(np.isfinite(thickness)), traced=traced)
     wanted: list[effects.Allowance] = []
-    for one in STATED_ERRORS:
+    for one in parameters.STATED_ERRORS:
         sd: float | Array = sds.get(one.name, one.usual)
         if one.name == "mass":
-            sd = np.append(sd if mass > 0.0 else 0.0, np.full(3, MASS_SPREAD))
+            sd = np.append(sd if mass > 0.0 else 0.0, np.full(3, parameters.MASS_SPREAD))
         wanted.append(one.with_sd(sd, course.tags))
     every = effects.allowances_of(course, effects.LIVE_ALLOWANCES)
     wanted += [replace(a, prior_sd=a.prior_sd * (a.name in allowances)) for a in every]
     # All priors but the section's are normal, for time's sake.
     wanted = [replace(a, sizes=(1.0,), within=a.within if a.name == "section" else effects.ANYTHING) for a in wanted]
-    wanted += without_recording()
-    layout = layout_of(spline, [(-1, a) for a in wanted if a.shared] + [(0, a) for a in wanted if not a.shared])
+    wanted += parameters.without_recording()
+    layout = parameters.layout_of(
+        spline, [(-1, a) for a in wanted if a.shared] + [(0, a) for a in wanted if not a.shared]
+    )
     m, missing = len(marker_s), np.full((1, len(marker_s), 3), np.nan)
     stated = Stated("unknown", mass, 0.0, mass_along="even", thickness=thickness, tag_size=tag_size)
     shown = Observations(
@@ -200,9 +192,9 @@ def problem_of(
 
 
 @lru_cache(maxsize=2 * _GRIDS)
-def _layout_of(spline: Spline, errors: int) -> Layout:
+def _layout_of(spline: parameters.Spline, errors: int) -> parameters.Layout:
     """log k and so many force errors."""
-    return layout_of(spline, [(0, inside("force", "N", 1.0, ("",) * 2 * errors))])
+    return parameters.layout_of(spline, [(0, parameters.inside("force", "N", 1.0, ("",) * 2 * errors))])
 
 
 def frames_at(session: LiveSession, push_s: float, inputs: FrameInputs) -> FitData:

@@ -14,11 +14,8 @@ import numpy as np
 
 from onebend.errors import RecordingError
 from onebend.live.sources import Clock, End, Frame, Samples, StampTiming
-from onebend.recording.entries import Recording, VideoEntry
+from onebend.recording import entries, force, force_log, video
 from onebend.recording.folder import FILE_NAME, folder_of, read_recording
-from onebend.recording.force import read_log
-from onebend.recording.force_log import read_force_log
-from onebend.recording.video import FilmFrame, read_frames
 from onebend.records import ForceLog
 
 TIMING = StampTiming(delay_error=0.01)
@@ -87,14 +84,14 @@ class Playing(Generic[Item]):
 class PlayedCamera(Playing[Frame]):
     """A film as a camera."""
 
-    def __init__(self, film: VideoEntry | Iterable[FilmFrame], *, name: str = "the film") -> None:
+    def __init__(self, film: entries.VideoEntry | Iterable[video.FilmFrame], *, name: str = "the film") -> None:
         """`film`: a video, or its frames, whose times begin near 0 s."""
         super().__init__(name)
-        self.files = (film.file,) if isinstance(film, VideoEntry) else ()
+        self.files = (film.file,) if isinstance(film, entries.VideoEntry) else ()
         self.film = film
 
     def items(self) -> Iterator[Frame]:
-        frames = iter(read_frames(self.film) if isinstance(self.film, VideoEntry) else self.film)
+        frames = iter(video.read_frames(self.film) if isinstance(self.film, entries.VideoEntry) else self.film)
         first = next(frames, None)  # so that what is no film is told now
         shown = frames if first is None else chain([first], frames)
         return (Frame(one.luma, one.time, one.time + FRAME_DELAY, one.index, one.colour) for one in shown)
@@ -141,7 +138,7 @@ def played_camera(place: Path) -> PlayedCamera:
             raise RecordingError(f"{place}: this recording has no film to play. Name one with [video].")
         entry = rec.video
     elif place.is_file():
-        entry = VideoEntry(place)
+        entry = entries.VideoEntry(place)
     else:
         raise RecordingError(f"film:{place}: there is no such film or recording. Name a video file, or a folder.")
     return PlayedCamera(entry, name=f"the film {place}")
@@ -157,11 +154,11 @@ def played_force(place: Path, *, start: float = math.nan) -> PlayedForce:
     """
     rec, error = _recording_at(place), TIMING.delay_error
     if rec is not None:
-        log, files = read_log(rec), () if rec.force is None else (rec.force.file,)
+        log, files = force.read_log(rec), () if rec.force is None else (rec.force.file,)
         if math.isnan(start):
             start, error = rec.start
     elif place.is_file():
-        log, files = read_force_log(place, ("time_s", "fx_N", "fy_N")), (place,)
+        log, files = force_log.read_force_log(place, ("time_s", "fx_N", "fy_N")), (place,)
     else:
         raise RecordingError(f"log:{place}: there is no such log or recording. Name a CSV file, or a folder.")
     if log is None:
@@ -181,6 +178,6 @@ def played_force(place: Path, *, start: float = math.nan) -> PlayedForce:
     return PlayedForce(log, start, columns=columns, error=error, name=f"the log {place}", files=files)
 
 
-def _recording_at(place: Path) -> Recording | None:
+def _recording_at(place: Path) -> entries.Recording | None:
     folder = folder_of(place)
     return read_recording(folder) if (folder / FILE_NAME).is_file() else None

@@ -14,17 +14,9 @@ from functools import cached_property
 
 import numpy as np
 
+from onebend.learning import linear
 from onebend.learning.force_error import SpannedError, sized
 from onebend.learning.hyperparameters import Evidence, cubature, error_root, shares_of
-from onebend.learning.linear import (
-    Eliminated,
-    FitProblem,
-    Hyperparameters,
-    JointInformation,
-    Solved,
-    eliminated,
-    solved,
-)
 from onebend.learning.normal import BlockRoot, InformationForm, solved_lower
 from onebend.live.key_frames import AT_REST, KeyFrames
 from onebend.recording.force_noise import TimeSpans, fast_variance, slow_variance, with_one_more
@@ -112,7 +104,7 @@ class KeyFrameModel:
     form: InformationForm  # of all, in this order
     other_mean: Array  # (n - p,) of the others before the data
     other_sd: Array  # (n - p,)
-    others: Eliminated  # the others, integrated out
+    others: linear.Eliminated  # the others, integrated out
     evidence: Evidence  # of log k and the force's error
 
     @property
@@ -122,7 +114,7 @@ class KeyFrameModel:
         assert isinstance(error, SpannedError)
         return error
 
-    def posterior(self, hyperparameters: Hyperparameters) -> KeyFramePosterior:
+    def posterior(self, hyperparameters: linear.Hyperparameters) -> KeyFramePosterior:
         """Raises `numpy.linalg.LinAlgError` where a matrix is not positive definite."""
         return KeyFramePosterior(self, hyperparameters, self.evidence.posterior(hyperparameters))
 
@@ -132,8 +124,8 @@ class KeyFramePosterior:
     """The normal posterior of the n parameters and of the force's error."""
 
     model: KeyFrameModel
-    hyperparameters: Hyperparameters
-    solved: Solved  # of log k and the force's error
+    hyperparameters: linear.Hyperparameters
+    solved: linear.Solved  # of log k and the force's error
 
     @cached_property
     def x(self) -> Array:
@@ -188,14 +180,14 @@ class KeyFramePosterior:
         away, z = np.append(few, x[p:]), np.append(before.whiten(before.mean + few), x[p:] / self.model.other_sd)
         return float(np.sqrt(z @ z + max(away @ self.model.form.matrix @ away, 0.0)))
 
-    def likelier(self, start: Hyperparameters, stride: float) -> Hyperparameters:
+    def likelier(self, start: linear.Hyperparameters, stride: float) -> linear.Hyperparameters:
         """The hyperparameters `start` with sizes of the force's error of more evidence, at most `stride` sd away: one
         step of Fisher's scoring."""
         slope, curvature = self.of_sizes(self.model.evidence)
         step = np.clip(-np.linalg.solve(curvature, slope), -stride, stride)
         return self.model.evidence.hyperparameters_at(start, self.model.evidence.place(self.hyperparameters) + step)
 
-    def at_nodes(self, count: int) -> Iterator[tuple[Solved, float]]:
+    def at_nodes(self, count: int) -> Iterator[tuple[linear.Solved, float]]:
         """As `learning.hyperparameters.at_nodes`, over the first `count` sizes of the force's error."""
         if not len(self.e):
             return iter([(self.solved, 1.0)])
@@ -203,7 +195,7 @@ class KeyFramePosterior:
         evidence = replace(evidence, spread=evidence.spread[:count])
         points, log_shares = cubature(evidence.place(self.hyperparameters), self.of_sizes(evidence)[1])
         roots = ((before.roots[0], self._error_root(evidence, z)) for z in points[1:])
-        nodes = [self.solved, *(solved(evidence.data, replace(before, roots=pair)) for pair in roots)]
+        nodes = [self.solved, *(linear.solved(evidence.data, replace(before, roots=pair)) for pair in roots)]
         costs = [0.5 * float(z @ z) - node.log_evidence for z, node in zip(points, nodes, strict=True)]
         shares = shares_of(log_shares - np.array(costs))
         shares = shares * (shares > _LITTLE)
@@ -316,10 +308,12 @@ def _products(keys: KeyFrames, scale: Array, of_tags: IntArray) -> tuple[Array, 
     return every, each
 
 
-def model_of(form: InformationForm, before: tuple[Array, Array], problem: FitProblem, spread: Array) -> KeyFrameModel:
+def model_of(
+    form: InformationForm, before: tuple[Array, Array], problem: linear.FitProblem, spread: Array
+) -> KeyFrameModel:
     """The model of a form as `information` gives it, with the `problem` of log k and the force's error; `before` means
     and sds (n - p,) of the others before the data, `spread` as in `Evidence`."""
     layout = problem.layout
-    others = eliminated(form, before[0], BlockRoot(before[1]), layout.size)
-    evidence = Evidence(problem, JointInformation((others.left,), layout.parts), spread)
+    others = linear.eliminated(form, before[0], BlockRoot(before[1]), layout.size)
+    evidence = Evidence(problem, linear.JointInformation((others.left,), layout.parts), spread)
     return KeyFrameModel(form, *before, others, evidence)

@@ -21,6 +21,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from onebend import records
 from onebend.errors import ObservationError, OnebendError
 from onebend.learning.start import start_of
 from onebend.live.body import NOT_SEEN, SeenOutline
@@ -38,18 +39,6 @@ from onebend.recording.outline import joined, left_out
 from onebend.recording.tags import BlockTracks, summary
 from onebend.recording.tool import SmallPictures, ToolPlace, tool_checked, tool_in_small
 from onebend.recording.tracks import with_angles
-from onebend.records import (
-    Array,
-    BoolArray,
-    ClockOffset,
-    ForceLog,
-    IntArray,
-    Markers,
-    Observations,
-    Remark,
-    of_markers,
-    read_before_fit,
-)
 from onebend.report.sentences import say
 
 NO_TAGS = "no tag of recording.toml is in the picture"
@@ -64,7 +53,7 @@ class Seen:
 
     recording: Recording
     tracks: BlockTracks
-    rows: Array  # (N, 3 or 4) of the force log
+    rows: records.Array  # (N, 3 or 4) of the force log
     outline: SeenOutline | None = None
     small: SmallPictures | None = None  # in which the tool may show; None: it is not looked for
 
@@ -79,15 +68,15 @@ class Reviewed:
 
     until: float  # s, the frames' clock: the last frame that it knows
     why: str = ""
-    clock: ClockOffset | None = None
-    remarks: tuple[Remark, ...] = ()
+    clock: records.ClockOffset | None = None
+    remarks: tuple[records.Remark, ...] = ()
     moved: bool = False  # the beam was pushed
     rested: bool = False  # and is at rest again: the drift of the log is known
     reader: FrameReader | None = None
     learner: OnlineLearner | None = None
 
 
-def observed_in(seen: Seen, settings: ObserveSettings = ObserveSettings()) -> Observations:
+def observed_in(seen: Seen, settings: ObserveSettings = ObserveSettings()) -> records.Observations:
     """The observations of what was seen, as `learn` makes them of a recording.
 
     Raises:
@@ -98,13 +87,13 @@ def observed_in(seen: Seen, settings: ObserveSettings = ObserveSettings()) -> Ob
     if small is None:
         return observed
 
-    def find(tags: Markers, loaded: BoolArray, frame: IntArray) -> ToolPlace:
+    def find(tags: records.Markers, loaded: records.BoolArray, frame: records.IntArray) -> ToolPlace:
         return tool_in_small(small, rec, tags, loaded, markers.time[frame])
 
     return tool_checked(rec, observed, markers.base_angle[observed.frame], find)
 
 
-def _markers_in(seen: Seen) -> Markers:
+def _markers_in(seen: Seen) -> records.Markers:
     rec, tracks = seen.recording, seen.tracks
     assert rec.video is not None
     if not np.isfinite(tracks.corners).all(axis=(2, 3)).any():
@@ -120,7 +109,7 @@ def _markers_in(seen: Seen) -> Markers:
     return markers if outline is None else joined(tags, markers, lambda: outline.track)
 
 
-def log_of(rec: Recording, rows: Array) -> ForceLog | None:
+def log_of(rec: Recording, rows: records.Array) -> records.ForceLog | None:
     """The log from its rows; None where the recording has no force.
 
     Raises:
@@ -145,7 +134,7 @@ def review(
     try:
         markers = _markers_in(seen)
         log = log_of(seen.recording, seen.rows)
-        few = with_angles(of_markers(markers, read_before_fit(markers)))
+        few = with_angles(records.of_markers(markers, records.read_before_fit(markers)))
         moved = bool(find_contact(few, settings=observing.contact).loaded.any())
         if not moved:  # nothing else can be known yet
             return Reviewed(seen.until, NO_PUSH, remarks=markers.remarks)
@@ -174,12 +163,12 @@ def review(
     return replace(known, reader=reader_of(seen.recording, observed, seen.outline), learner=learner)
 
 
-def known_clock(clock: ClockOffset | None) -> ClockOffset | None:
+def known_clock(clock: records.ClockOffset | None) -> records.ClockOffset | None:
     """The offset where it was found, or is stated so well that the push need not show it."""
     return clock if clock is not None and (clock.found or clock.sd < CLOCK_KNOWN) else None
 
 
-def _not_yet(rec: Recording, observed: Observations) -> str:
+def _not_yet(rec: Recording, observed: records.Observations) -> str:
     """Why k(s) cannot be learned frame by frame from what was observed so far; empty where it can."""
     if refused := not_live(rec):
         return refused

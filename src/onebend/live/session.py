@@ -15,11 +15,8 @@ from typing import Any
 import numpy as np
 
 from onebend.errors import ObservationError, OnebendError, RecordingError
-from onebend.live import guidance
-from onebend.live.body import BodyFrame, BodyTracker, curve_in
+from onebend.live import body, guidance, live, recording_folder
 from onebend.live.guidance import CaptureOutcome, CaptureSettings, CaptureState, Stages, Stop, TagView
-from onebend.live.live import Live
-from onebend.live.recording_folder import FilmWriter, Logs, Pump, RecordingPlaces, places_for, room_left, state_start
 from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame, HostClock, Samples, files_of, measurable
 from onebend.progress import leave_real_time
 from onebend.recording.entries import Recording
@@ -38,8 +35,8 @@ class Follower:
     def __init__(self, rec: Recording, settings: CaptureSettings) -> None:
         self.why = "" if settings.follow else "k(s) was not asked for"  # there is no k(s)
         self.rec, self._settings = rec, settings
-        self._tracker = BodyTracker(rec)
-        self._live: Live | None = None
+        self._tracker = body.BodyTracker(rec)
+        self._live: live.Live | None = None
         self._narrowest = guidance.Widening()
 
     def look(self, frame: Frame) -> tuple[tuple[TagView, ...], Array, list[str]]:
@@ -50,14 +47,14 @@ class Follower:
             return (), np.zeros((0, 2)), [str(wrong)]
         views = guidance.tag_views(self.rec.tags, seen.corners)
         advice = guidance.setup_advice(frame.picture, views, seen.strangers)
-        return views, curve_in(seen), advice or ([self._tracker.why] if self._tracker.why else [])
+        return views, body.curve_in(seen), advice or ([self._tracker.why] if self._tracker.why else [])
 
     def begin(self, error: float) -> None:
         """The film begins, and its clock; that of the force is the same to `error` [s]."""
-        self._tracker = BodyTracker(self.rec)
+        self._tracker = body.BodyTracker(self.rec)
         if self._settings.follow:
             try:
-                self._live = Live(
+                self._live = live.Live(
                     self.rec, clock=(0.0, error), settings=self._settings.live, beside=self._settings.live_beside
                 )
             except RecordingError as wrong:
@@ -131,7 +128,7 @@ def record(
     """
     clock = clock or HostClock()
     columns = None if force is None else force.columns
-    places = places_for(folder, columns, overwrite=settings.overwrite, read=files_of(camera, force))
+    places = recording_folder.places_for(folder, columns, overwrite=settings.overwrite, read=files_of(camera, force))
     sources: list[CameraSource | ForceSource] = [camera, *([] if force is None else [force])]
     with ExitStack() as opened:
         for source in sources:
@@ -147,7 +144,7 @@ class _Session:
 
     def __init__(
         self,
-        places: RecordingPlaces,
+        places: recording_folder.RecordingPlaces,
         camera: CameraSource,
         force: ForceSource | None,
         settings: CaptureSettings,
@@ -157,12 +154,12 @@ class _Session:
         follower: Follower,
     ) -> None:
         self._places, self._settings, self._watch, self._clock, self._tags = places, settings, watch, clock, tags
-        self._pump = Pump(camera, force, clock)
+        self._pump = recording_folder.Pump(camera, force, clock)
         self._camera, self._force = camera, force
-        self._logs = Logs(
+        self._logs = recording_folder.Logs(
             camera.timing, None if force is None else force.timing, () if force is None else force.columns
         )
-        self._film: FilmWriter | None = None
+        self._film: recording_folder.FilmWriter | None = None
         self._encoder = ThreadPoolExecutor(1, "film", leave_real_time)  # neither tags nor force wait for it
         self._unwritten: deque[Future[bool]] = deque()
         self._most_unwritten = 0 if self._pump.at_will else MOST_UNWRITTEN
@@ -252,8 +249,8 @@ class _Session:
         height, width = first.picture.shape
         for path in self._places.earlier:
             path.unlink()
-        state_start(self._places.rec.folder, self._logs.error)
-        self._film = FilmWriter(self._places.film, (width, height), crf=self._settings.crf)
+        recording_folder.state_start(self._places.rec.folder, self._logs.error)
+        self._film = recording_folder.FilmWriter(self._places.film, (width, height), crf=self._settings.crf)
         self._logs.begin(self._places, first)
         self._follower.begin(self._logs.error)
         items = sorted(self._early, key=lambda one: one.arrival)
@@ -282,9 +279,9 @@ class _Session:
             self._state = replace(self._state, unfollowed=self._state.unfollowed + 1)
         elif (seen := self._follower.frame(frame, time)) is not None:
             self._tags(frame, time, seen.corners)
-            self._stages.update(time, seen.corners, seen.places if isinstance(seen, BodyFrame) else None)
+            self._stages.update(time, seen.corners, seen.places if isinstance(seen, body.BodyFrame) else None)
             views = guidance.tag_views(self._places.rec.tags, seen.corners)
-            self._state = replace(self._state, picture=frame.picture, tags=views, outline=curve_in(seen))
+            self._state = replace(self._state, picture=frame.picture, tags=views, outline=body.curve_in(seen))
         self._state = replace(self._state, seconds=time, frames=self._film.frames)
         if time > self._settings.longest:
             self._end("ended: longest", seconds=self._settings.longest)
@@ -309,7 +306,7 @@ class _Session:
         if self._film is not None and now >= self._next_flush:
             self._next_flush = now + settings.flush_every
             self._logs.flush()
-            left = room_left(self._places.rec.folder)
+            left = recording_folder.room_left(self._places.rec.folder)
             self._state = replace(self._state, disk_left=left, bytes=self._film.bytes + self._logs.bytes)
             if left < settings.least_disk:
                 self._end("ended: disk", fault=True, left=left / 1e6)

@@ -16,18 +16,10 @@ from onebend.learning.normal import Draws
 from onebend.learning.optimizer import starting
 from onebend.learning.parameters import Layout
 from onebend.learning.sites import first_site, updated
-from onebend.live import key_frames, residuals
+from onebend.live import key_frames, posterior as posteriors, residuals
 from onebend.live.hyperparameters import OnlineSettings, StiffnessChains, expected_error
 from onebend.live.key_frames import CheckedFrame, CourseSoFar, LoadStages, expect_shape, write_frame
 from onebend.live.model import MOST_NODES, Lineariser, LiveSession, problem_of
-from onebend.live.posterior import (
-    KeyFramePosterior,
-    information,
-    marginalise_oldest,
-    model_of,
-    nothing_marginalised,
-    spans_of,
-)
 from onebend.records import Array, BoolArray, ForceNoise
 from onebend.report.sentences import say
 
@@ -83,7 +75,7 @@ class Smoother:
         self.x = start.x  # (n,) the estimate
         self.point = start.x  # (n,) where all frames are linearised, or their mismatch would look like information
         self.keys = key_frames.empty(settings.key_frames, traced, n, MOST_NODES, session.terms.count)
-        self.marginalised = nothing_marginalised(n)
+        self.marginalised = posteriors.nothing_marginalised(n)
         self._session, self._start, self._settings = session, start, settings
         spline, noise = session.layout.spline, RecordingNoise(settings.marker_noise, settings.force.white)
         parts = spline.variances(settings.roughness, settings.steps)
@@ -153,7 +145,7 @@ class Smoother:
             if missed.isdisjoint((pair, pair + 1, slot)):
                 key_frames.accept_average(keys, pair, slot, self.point)
         while keys.used > self._settings.key_frames + 1:
-            marginalise_oldest(keys, self.marginalised, self._process, self.noise, self._stages.own)
+            posteriors.marginalise_oldest(keys, self.marginalised, self._process, self.noise, self._stages.own)
         return True
 
     def _linearise(self, chosen: list[int]) -> set[int]:
@@ -270,16 +262,18 @@ class Smoother:
         largest = max(float(np.max(np.abs(step[: self._session.layout.spline.count]))), 1e-300)
         return np.asarray(self.point + step * min(1.0, self._settings.step / largest))
 
-    def _solve(self) -> KeyFramePosterior:
+    def _solve(self) -> posteriors.KeyFramePosterior:
         """The posterior over the key frames as they are; a misfit beyond the markers' noise counts as noise."""
         keys, settings, session = self.keys, self._settings, self._session
-        spans = spans_of(keys, self.marginalised, self._stages.own)
+        spans = posteriors.spans_of(keys, self.marginalised, self._stages.own)
         expected = replace(self.hyperparameters, coloured=1.0, memory=1.0, walk=1.0, load=1.0, white=1.0)
         error, start = spanned_error(self._expected_error, spans), (self._start.level, self._start.stiffness)
         p, white = session.layout.spline.count, self._process.white
-        form = information(keys, self.marginalised, p, sizes=self.noise, white=white, of_tags=session.of_tags)
+        form = posteriors.information(
+            keys, self.marginalised, p, sizes=self.noise, white=white, of_tags=session.of_tags
+        )
         spread = np.where(np.array(CHOSEN) == "memory", settings.memory_doubt, np.append(SPREAD, _WHITE_SPREAD))
-        model = model_of(form, self._before, problem_of(session, error, start, expected), spread)
+        model = posteriors.model_of(form, self._before, problem_of(session, error, start, expected), spread)
         return model.posterior(self.hyperparameters)
 
     @property

@@ -9,10 +9,7 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from onebend.errors import RecordingError
-from onebend.live import force_sensors
-from onebend.live.cameras import PACKED, AvCamera, CameraSettings, V4l2Camera
-from onebend.live.played import played_camera, played_force
-from onebend.live.sources import CameraSource, ForceSource
+from onebend.live import cameras, force_sensors, played, sources
 from onebend.text_files import QUOTED
 
 Options = Mapping[str, str]
@@ -37,7 +34,7 @@ MOST_SIDE = MOST_PORT = 65_535  # px, and of a port
 MOST_RATE, MOST_FPS = 1e6, 100_000.0  # Hz
 
 
-def camera_of(spec: str) -> CameraSource:
+def camera_of(spec: str) -> sources.CameraSource:
     """The camera that a spec names, not opened yet.
 
     Raises:
@@ -46,7 +43,7 @@ def camera_of(spec: str) -> CameraSource:
     return made(spec, CAMERAS, "--camera")
 
 
-def force_of(spec: str) -> ForceSource:
+def force_of(spec: str) -> sources.ForceSource:
     """The force sensor that a spec names, not opened yet.
 
     Raises:
@@ -93,12 +90,12 @@ def made(spec: str, kinds: Mapping[str, SourceKind[Made]], option: str) -> Made:
     return kinds[kind].make(place, options)
 
 
-def _log(place: str, options: Options) -> ForceSource:
+def _log(place: str, options: Options) -> sources.ForceSource:
     start = number(options, "start_s", math.nan, least=-MOST_START, most=MOST_START)
-    return played_force(Path(place), start=start)
+    return played.played_force(Path(place), start=start)
 
 
-def _ati(place: str, options: Options) -> ForceSource:
+def _ati(place: str, options: Options) -> sources.ForceSource:
     scale = None
     if "counts" in options:
         per = number(options, "counts", 0.0, least=1e-6, most=MOST_COUNTS)
@@ -113,7 +110,7 @@ def _names(options: Options, key: str) -> list[str]:
     return [name for name in options.get(key, "").split("/") if name]
 
 
-def _serial(place: str, options: Options) -> ForceSource:
+def _serial(place: str, options: Options) -> sources.ForceSource:
     where = f"serial:{place}"
     if "columns" not in options:
         raise RecordingError(f"{where}: say what a line holds, as columns=time_ms/fx_N/fy_N. {force_sensors.KNOWN}.")
@@ -129,18 +126,18 @@ def _size(options: Options, default: str) -> tuple[int, int]:
     return sides[0], sides[1]
 
 
-def _v4l2(place: str, options: Options) -> CameraSource:
-    asked = CameraSettings()
+def _v4l2(place: str, options: Options) -> sources.CameraSource:
+    asked = cameras.CameraSettings()
     width, height = _size(options, f"{asked.width}x{asked.height}")
     packed = options.get("packed", asked.packed)
-    if packed not in PACKED:
-        raise RecordingError(f"packed={packed}: take one of {', '.join(PACKED)}.")
+    if packed not in cameras.PACKED:
+        raise RecordingError(f"packed={packed}: take one of {', '.join(cameras.PACKED)}.")
     fps = number(options, "fps", asked.fps, least=0.1, most=MOST_FPS)
     exposure = 1e-3 * number(options, "exposure_ms", math.nan, least=0.01, most=LONGEST_EXPOSURE)
-    return V4l2Camera(Path(place), CameraSettings(width, height, fps, exposure, packed))
+    return cameras.V4l2Camera(Path(place), cameras.CameraSettings(width, height, fps, exposure, packed))
 
 
-CAMERAS: dict[str, SourceKind[CameraSource]] = {
+CAMERAS: dict[str, SourceKind[sources.CameraSource]] = {
     "v4l2": SourceKind(
         "/dev/video0",
         "a camera of Linux, with the kernel's stamps",
@@ -151,7 +148,7 @@ CAMERAS: dict[str, SourceKind[CameraSource]] = {
         "av:PLACE,format=NAME",
         "what FFmpeg opens: a camera of another system, a stream",
         ("format", "framerate", "video_size", "pixel_format"),
-        lambda place, options: AvCamera(
+        lambda place, options: cameras.AvCamera(
             place, options.get("format", ""), {key: value for key, value in options.items() if key != "format"}
         ),
     ),
@@ -159,10 +156,10 @@ CAMERAS: dict[str, SourceKind[CameraSource]] = {
         "film:REC",
         "a film, or a recording's, played at its own pace",
         (),
-        lambda place, _: played_camera(Path(place)),
+        lambda place, _: played.played_camera(Path(place)),
     ),
 }
-FORCES: dict[str, SourceKind[ForceSource]] = {
+FORCES: dict[str, SourceKind[sources.ForceSource]] = {
     "ati": SourceKind(
         "ati:192.168.1.1",
         "an ATI Net F/T or Axia box on the network",

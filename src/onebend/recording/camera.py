@@ -10,22 +10,10 @@ from itertools import pairwise
 import numpy as np
 
 from onebend.errors import ObservationError, RecordingError
+from onebend.recording import plane as planes
 from onebend.recording.entries import CameraEntry, Recording, TagEntry, TagsEntry
-from onebend.recording.plane import (
-    DEGREES_OF_FREEDOM,
-    PlaneFit,
-    fit_plane,
-    lay_square,
-    lowered,
-    lying_of,
-    misshapen,
-    project_tags,
-    rotated,
-    to_plane,
-    view_of,
-)
 from onebend.recording.signals import running_median
-from onebend.records import POINT_ID, Array, BoolArray, Detections, Markers, OutlineTrack, Remark, View
+from onebend.records import POINT_ID, Array, BoolArray, Detections, Markers, OutlineTrack, Remark, View, rotated
 
 END_CORRELATION = -0.5  # of the errors at the two ends of a straight edge
 STEP = 1e-6  # m and rad, of the pose's numerical derivative
@@ -54,8 +42,8 @@ def measure_poses(
 
     The noise is that of the residuals, or `noise` [px, one sd]. Generalised least squares by Gauss-Newton on the eight
     coordinates of each tag; `corners` (T, m, 4, 2) px, NaN stays NaN."""
-    xy, angle = lay_square(to_plane(view, corners))
-    lying = lying_of(view, corners.shape[-3])
+    xy, angle = planes.lay_square(planes.to_plane(view, corners))
+    lying = planes.lying_of(view, corners.shape[-3])
     weight = corner_weight(corners)
     for _ in range(refinements):
         jacobian, residual = linearise(view, xy, angle, corners, size, lying)
@@ -64,11 +52,11 @@ def measure_poses(
     jacobian, residual = linearise(view, xy, angle, corners, size, lying)
     squares = np.einsum("...i,...ij,...j->...", residual, weight, residual)
     sd = float(np.sqrt(np.nanmedian(squares) / MEDIAN_CHI2)) if noise is None else noise
-    variance = np.maximum(squares / DEGREES_OF_FREEDOM, sd**2)
+    variance = np.maximum(squares / planes.DEGREES_OF_FREEDOM, sd**2)
     normal = np.swapaxes(jacobian, -1, -2) @ weight @ jacobian
     covariance = variance[..., None, None] * np.linalg.inv(normal) + grid_covariance(jacobian)
     poses = Poses(xy, angle, covariance)
-    return poses, np.sqrt(squares / DEGREES_OF_FREEDOM), replace(view, corner_sd=sd)
+    return poses, np.sqrt(squares / planes.DEGREES_OF_FREEDOM), replace(view, corner_sd=sd)
 
 
 def grid_covariance(jacobian: Array) -> Array:
@@ -109,7 +97,7 @@ def linearise(view: View, xy: Array, angle: Array, corners: Array, size: float, 
     """Jacobian (..., 8, 3) of the projected corners by (x, y, angle), and the residual (..., 8) of `corners`, px."""
 
     def projected(dx: float = 0.0, dy: float = 0.0, turn: float = 0.0) -> Array:
-        seen = project_tags(view, xy + np.array([dx, dy]), angle + turn, size, lying)
+        seen = planes.project_tags(view, xy + np.array([dx, dy]), angle + turn, size, lying)
         return seen.reshape(*seen.shape[:-2], 8)
 
     columns = [(projected(**{name: STEP}) - projected(**{name: -STEP})) / (2 * STEP) for name in ("dx", "dy", "turn")]
@@ -264,7 +252,7 @@ class MeasuredTags:
 
     detections: Detections
     description: Recording
-    plane: PlaneFit
+    plane: planes.PlaneFit
     view: View  # with the corners' noise
     origin: Poses  # (T, 1) of the base
     relative: Poses  # (T, m) of the beam's tags to it
@@ -293,7 +281,7 @@ class MeasuredTags:
             angle=unwrap(relative.angle)[:, order],
             covariance=relative.covariance[:, order],
             base_angle=unwrap(origin.angle[:, 0] - origin.angle[first, 0]),
-            view=view_of(self.view, origin.xy[first, 0], float(origin.angle[first, 0])),
+            view=planes.view_of(self.view, origin.xy[first, 0], float(origin.angle[first, 0])),
             remarks=(*self.remarks, *(() if outline is None else outline.remarks)),
             by_camera=by_camera(self.plane, detections.corners, tags, outline)[:, order],
             traced=None if traced is None else traced[order],
@@ -313,11 +301,13 @@ def measure_tags(detections: Detections, description: Recording) -> MeasuredTags
     """
     tags, base = description.tags, len(description.tags.on_base)
     check_picture(detections, description.camera)
-    plane = fit_plane(spread(detections.corners), tags.size, description.camera, (detections.width, detections.height))
+    plane = planes.fit_plane(
+        spread(detections.corners), tags.size, description.camera, (detections.width, detections.height)
+    )
     poses, misfit, view = measure_poses(plane.view, detections.corners, tags.size)
     # sd: a tag whose corners are further (RMS) from any square in the plane is not used.
     # px, least noise of the corners for that test.
-    wrong = (misfit > 10.0 * max(view.corner_sd, 0.02)) | (misshapen(view) & np.isfinite(misfit))
+    wrong = (misfit > 10.0 * max(view.corner_sd, 0.02)) | (planes.misshapen(view) & np.isfinite(misfit))
     poses = drop(poses, wrong)
     poses = replace(poses, angle=poses.angle - np.array([tag.turn for tag in (*tags.on_base, *tags.on_beam)]))
     if not np.isfinite(poses.angle[:, :base]).any():
@@ -348,7 +338,7 @@ def points_in_plane(view: View, outline: OutlineTrack, height: Array | float = 0
     length = np.linalg.norm(along, axis=-1, keepdims=True)
     across = np.stack([-along[..., 1], along[..., 0]], axis=-1) / length
     seen_at = (outline.px, outline.ahead, outline.px + across)
-    xy, ahead, beside = (lowered(view, to_plane(view, px), height) for px in seen_at)
+    xy, ahead, beside = (planes.lowered(view, planes.to_plane(view, px), height) for px in seen_at)
     sd = outline.sd * np.linalg.norm(beside - xy, axis=-1)
     turn = sd / np.linalg.norm(ahead - xy, axis=-1)
     covariance = np.stack([sd, sd, turn], axis=-1)[..., None] ** 2 * np.eye(3)
@@ -378,7 +368,7 @@ def spread(corners: Array) -> Array:
     return corners[frames]
 
 
-def by_camera(plane: PlaneFit, corners: Array, tags: TagsEntry, outline: OutlineTrack | None = None) -> Array:
+def by_camera(plane: planes.PlaneFit, corners: Array, tags: TagsEntry, outline: OutlineTrack | None = None) -> Array:
     """(T, m, 3, n) m, m, rad: how the poses of the beam's tags, and then of the outline's points, relative to the first
     base tag move with one sd of each of the n unknowns of the plane, the tags' heights and, without a calibration, the
     camera. A hidden base counts as where it was seen nearest in time; zero for tags that were not seen."""
@@ -387,8 +377,8 @@ def by_camera(plane: PlaneFit, corners: Array, tags: TagsEntry, outline: Outline
     corners, which = np.concatenate([shown, corners[:, base:]], axis=1), [first, *range(base, corners.shape[1])]
 
     def relative(view: View) -> Array:
-        xy, angle = lay_square(to_plane(view, corners))
-        xy = lowered(view, xy, view.lying[which, 0])
+        xy, angle = planes.lay_square(planes.to_plane(view, corners))
+        xy = planes.lowered(view, xy, view.lying[which, 0])
         if outline is not None:
             points = points_in_plane(view, outline, height_along(view, tags, outline.s))
             xy, angle = np.concatenate([xy, points.xy], axis=1), np.concatenate([angle, points.angle], axis=1)

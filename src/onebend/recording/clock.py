@@ -6,20 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from onebend.recording.clock_evidence import (
-    BinnedLog,
-    Prior,
-    averaged_over,
-    compared_rows,
-    feature_scans,
-    find_lag,
-    likely_offsets,
-    likely_span,
-    moments_of,
-    peaks,
-    refined,
-    thinned,
-)
+from onebend.recording import clock_evidence
 from onebend.recording.clock_features import ClockSettings, FilmFeatures, film_features
 from onebend.recording.clock_moments import offset_from_moments
 from onebend.records import Array, ClockOffset, ForceLog, ForceNoise, Markers, Remark
@@ -29,7 +16,7 @@ ROUGHLY = 0.1  # s: a start stated to this uncertainty or less was measured, and
 
 def search_range(
     film: Array, log: Array, stated: float, uncertainty: float, margin: float
-) -> tuple[float, float, Prior]:
+) -> tuple[float, float, clock_evidence.Prior]:
     """The lowest and highest offset to try [s], and the log prior of offsets. `uncertainty` must be above 0."""
     half = 0.5 * (film[-1] - film[0])
     first, last = log[0] - film[0] - half, log[-1] - film[-1] + half
@@ -52,12 +39,12 @@ def reach_of(uncertainty: float, margin: float) -> float:
     return uncertainty + min(margin, 20.0 * uncertainty)  # times a small uncertainty: how far beyond it is searched
 
 
-def prior_spread(low: float, high: float, prior: Prior) -> float:
+def prior_spread(low: float, high: float, prior: clock_evidence.Prior) -> float:
     """sd of the prior over offsets, s."""
     if high <= low:
         return float("inf")
     offset = np.linspace(low, high, 2001)
-    return moments_of(offset, prior(offset))[1]
+    return clock_evidence.moments_of(offset, prior(offset))[1]
 
 
 AS_WRITTEN = "start_s is used as it is written"
@@ -123,7 +110,7 @@ def fit_clock(
     oscillations."""
     film = film_features(markers, push_s, settings)
     fit = fit_offset(film, log, stated, uncertainty, settings)
-    lag = find_lag(film, log, fit.clock.offset, settings) if fit.clock.found else None
+    lag = clock_evidence.find_lag(film, log, fit.clock.offset, settings) if fit.clock.found else None
     return replace(fit, rate=film.rate, lag=lag)
 
 
@@ -133,12 +120,12 @@ def fit_offset(
     """The posterior of the offset alone."""
     exact = uncertainty == 0.0 and np.isfinite(stated)
     low, high = stated, stated
-    prior: Prior = np.zeros_like
+    prior: clock_evidence.Prior = np.zeros_like
     if not exact:
         low, high, prior = search_range(film.time, log.time, stated, uncertainty, settings.margin)
-    rows = compared_rows(film, log, (low, high), settings)
+    rows = clock_evidence.compared_rows(film, log, (low, high), settings)
     if exact:
-        scans = [] if rows is None else feature_scans(film, rows, np.array([stated]), prior)
+        scans = [] if rows is None else clock_evidence.feature_scans(film, rows, np.array([stated]), prior)
         clock = ClockOffset(offset=stated, sd=0.0, stated=stated, found=True)
         return ClockFit(clock, scans[0].noise if scans else None)
     spread = prior_spread(low, high, prior)
@@ -157,19 +144,27 @@ def fit_offset(
 
 
 def matched(
-    film: FilmFeatures, rows: BinnedLog, within: tuple[float, float], prior: Prior, settings: ClockSettings
+    film: FilmFeatures,
+    rows: clock_evidence.BinnedLog,
+    within: tuple[float, float],
+    prior: clock_evidence.Prior,
+    settings: ClockSettings,
 ) -> tuple[float, float, ForceNoise] | None:
     """Offset [s] between `within`, its sd [s] and the log's noise; None where film and log have too little in common.
 
     The first search models the force by features of the tags, the second by the moments of a push at a known place."""
-    offsets = likely_offsets(film, rows, *within)
-    scans = feature_scans(film, rows, offsets, prior)
+    offsets = clock_evidence.likely_offsets(film, rows, *within)
+    scans = clock_evidence.feature_scans(film, rows, offsets, prior)
     if not scans:
         return None
     if film.moments is not None:
-        few = thinned(rows, max(4 * film.rate, settings.sharp_rows / (film.moments.track.duration + settings.hold)))
-        span = likely_span(scans, offsets, *within)
-        sharp = offset_from_moments(film.moments, few, span, peaks(scans, offsets), prior)
+        few = clock_evidence.thinned(
+            rows, max(4 * film.rate, settings.sharp_rows / (film.moments.track.duration + settings.hold))
+        )
+        span = clock_evidence.likely_span(scans, offsets, *within)
+        sharp = offset_from_moments(film.moments, few, span, clock_evidence.peaks(scans, offsets), prior)
         if sharp is not None:
             return sharp
-    return *averaged_over(scans, [refined(scan, rows, offsets, prior) for scan in scans]), scans[0].noise
+    return *clock_evidence.averaged_over(
+        scans, [clock_evidence.refined(scan, rows, offsets, prior) for scan in scans]
+    ), scans[0].noise

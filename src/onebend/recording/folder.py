@@ -15,37 +15,9 @@ from typing import Any
 import numpy as np
 
 from onebend.errors import LearningError, ObservationError, RecordingError
-from onebend.recording import entries
+from onebend.recording import entries, schema
 from onebend.recording.bag_topics import CameraInfo, bag_camera, check_bag, picture_size, with_bags
 from onebend.recording.bags import is_bag
-from onebend.recording.entries import (
-    FAMILY_SIZES,
-    MOST_FREQUENCIES,
-    MOST_MODE,
-    MOST_TAGS,
-    BeamEntry,
-    CameraEntry,
-    CameraInfoEntry,
-    FrequencyEntry,
-    MarkersEntry,
-    Recording,
-    TagEntry,
-    TagsEntry,
-    UncalibratedEntry,
-    VideoEntry,
-)
-from onebend.recording.schema import (
-    LONGEST_KEY,
-    Key,
-    Mistakes,
-    Place,
-    keys_of,
-    lines_of_keys,
-    place_name,
-    read_rows,
-    read_table,
-    report_unknown,
-)
 from onebend.records import CURVATURE_SD, Array, Remark
 from onebend.text_files import MOST_TOML, ascii_only, quoted, read_text, read_toml, toml_data
 
@@ -76,28 +48,28 @@ RECORDS = {
     **SECTIONS,
     "frequencies": entries.FrequencyEntry,
 }
-_KEYS = {table: {key.name for key, _ in keys_of(record).values()} for table, record in RECORDS.items()}
+_KEYS = {table: {key.name for key, _ in schema.keys_of(record).values()} for table, record in RECORDS.items()}
 # Which tables know a key: the message about one in the wrong table names its place.
 HOMES = {name: tuple(table for table in _KEYS if name in _KEYS[table]) for names in _KEYS.values() for name in names}
 
 
-def empty_values(content: str) -> list[tuple[Place, int, str]]:
+def empty_values(content: str) -> list[tuple[schema.Place, int, str]]:
     """Places and lines (from 1) of keys that have no value, as a template leaves them, and what to fill in."""
     rows = content.splitlines()
-    found: list[tuple[Place, int, str]] = []
-    for place, line in lines_of_keys(content).items():
+    found: list[tuple[schema.Place, int, str]] = []
+    for place, line in schema.lines_of_keys(content).items():
         if EMPTY.match(rows[line - 1]):
             entry = key_at(place)
             says = "a value, or a # before the line" if entry is None else entry.says
-            found.append((place, line, f"{place_name(place[:-1])} {place[-1]} is empty. Fill it in: {says}."))
+            found.append((place, line, f"{schema.place_name(place[:-1])} {place[-1]} is empty. Fill it in: {says}."))
     return sorted(found, key=lambda one: one[1:])
 
 
-def key_at(place: Place) -> Key | None:
+def key_at(place: schema.Place) -> schema.Key | None:
     """What is known of the key at a place in the file; None for an unknown one."""
     known = RECORDS | LISTED
     record = next((known[part] for part in reversed(place[:-1]) if part in known), None)
-    keys = {} if record is None else {entry.name: entry for entry, _ in keys_of(record).values()}
+    keys = {} if record is None else {entry.name: entry for entry, _ in schema.keys_of(record).values()}
     return keys.get(str(place[-1]))
 
 
@@ -107,7 +79,7 @@ def camera_record(data: dict[str, Any]) -> type:
     keys = set(table) if isinstance(table, dict) else set()
     if keys == {"scale_sd"}:
         return entries.UncalibratedEntry
-    return entries.CameraInfoEntry if "camera_info" in keys else CameraEntry
+    return entries.CameraInfoEntry if "camera_info" in keys else entries.CameraEntry
 
 
 def is_clicked(data: dict[str, Any]) -> bool:
@@ -115,13 +87,13 @@ def is_clicked(data: dict[str, Any]) -> bool:
     return isinstance(data.get("photos"), dict) and "clicks" in data["photos"]
 
 
-def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
+def check_top(data: dict[str, Any], mistakes: schema.Mistakes) -> None:
     """The tables and keys at the top of the file."""
-    report_unknown(data, ["format", "name", *TABLES, "frequencies", "points"], (), mistakes)
+    schema.report_unknown(data, ["format", "name", *TABLES, "frequencies", "points"], (), mistakes)
     if data.get("format") != FORMAT:
         mistakes.add(("format",), f"format must be {FORMAT}. Write `format = {FORMAT}` at the top.")
-    if not isinstance(data.get("name", ""), str) or len(data.get("name", "")) > LONGEST_KEY:
-        text = f"name must be text in quotes of at most {LONGEST_KEY} characters, not {quoted(data['name'])}."
+    if not isinstance(data.get("name", ""), str) or len(data.get("name", "")) > schema.LONGEST_KEY:
+        text = f"name must be text in quotes of at most {schema.LONGEST_KEY} characters, not {quoted(data['name'])}."
         mistakes.add(("name",), text)
     sources = [name for name in SOURCES if name in data]
     alone = not sources and "frequencies" in data  # they need no tag, and no force
@@ -145,31 +117,33 @@ def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
             mistakes.add((name,), f"[{name}] goes with a film, tracks, poses or photos, and there is none. Remove it.")
 
 
-def read_beam(table: Any, mistakes: Mistakes) -> BeamEntry | None:
+def read_beam(table: Any, mistakes: schema.Mistakes) -> entries.BeamEntry | None:
     """[beam] with the masses that ride on it."""
     rows = table.get("masses", []) if isinstance(table, dict) else []
     if not isinstance(rows, list):
         text = "[beam] masses must be tables: `[[beam.masses]]` with s and mass_kg, one each."
         mistakes.add(("beam", "masses"), text)
         rows = []
-    masses = read_rows(entries.MassEntry, rows, ("beam", "masses"), mistakes)
-    return read_table(BeamEntry, table, ("beam",), mistakes, masses=masses)
+    masses = schema.read_rows(entries.MassEntry, rows, ("beam", "masses"), mistakes)
+    return schema.read_table(entries.BeamEntry, table, ("beam",), mistakes, masses=masses)
 
 
-def read_frequencies(rows: Any, mistakes: Mistakes) -> tuple[FrequencyEntry, ...]:
+def read_frequencies(rows: Any, mistakes: schema.Mistakes) -> tuple[entries.FrequencyEntry, ...]:
     """The [[frequencies]] of a file."""
-    if not isinstance(rows, list) or not 0 < len(rows) <= MOST_FREQUENCIES:
-        text = f"Give 1 to {MOST_FREQUENCIES} tables [[frequencies]], each with hz and sd_hz."
+    if not isinstance(rows, list) or not 0 < len(rows) <= entries.MOST_FREQUENCIES:
+        text = f"Give 1 to {entries.MOST_FREQUENCIES} tables [[frequencies]], each with hz and sd_hz."
         mistakes.add(("frequencies",), text)
         return ()
-    read = [read_table(FrequencyEntry, row, ("frequencies", i), mistakes) for i, row in enumerate(rows)]
+    read = [schema.read_table(entries.FrequencyEntry, row, ("frequencies", i), mistakes) for i, row in enumerate(rows)]
     seen: set[tuple[int, str, float]] = set()
     for i, one in enumerate(read):
         if one is None:
             continue
         place, posture = ("frequencies", i), (one.mode, f"{one.base_angle}", one.tip_mass)
-        if one.mode > MOST_MODE:
-            mistakes.add((*place, "mode"), f"mode is {one.mode}; modes 1 to {MOST_MODE} of a slender beam are known.")
+        if one.mode > entries.MOST_MODE:
+            mistakes.add(
+                (*place, "mode"), f"mode is {one.mode}; modes 1 to {entries.MOST_MODE} of a slender beam are known."
+            )
         if one.sd >= one.hz:
             mistakes.add((*place, "sd_hz"), f"sd_hz = {one.sd:g} is no smaller than hz = {one.hz:g}. Are they swapped?")
         if posture in seen:
@@ -180,40 +154,42 @@ def read_frequencies(rows: Any, mistakes: Mistakes) -> tuple[FrequencyEntry, ...
 
 
 def read_tags(
-    table: Any, mistakes: Mistakes, *, pictures: bool, bare: bool = False, points: Any = None
-) -> TagsEntry | None:
+    table: Any, mistakes: schema.Mistakes, *, pictures: bool, bare: bool = False, points: Any = None
+) -> entries.TagsEntry | None:
     """[tags] with its two lists; where no camera looks (`pictures`), size and base tags may be missing, and where the
     body may be `bare` those on it. `points`: the list [[points]] in place of [[tags.on_beam]]."""
     if not isinstance(table, dict):
         mistakes.add(("tags",), f"[tags] must be a table, not {quoted(table)}.")
         return None
-    lists: dict[str, tuple[TagEntry, ...]] = {}
+    lists: dict[str, tuple[entries.TagEntry, ...]] = {}
     if points is not None and "on_beam" in table:
         mistakes.add(("points",), "The file has [[points]] and [[tags.on_beam]]. Write all of them as [[points]].")
     for group, what in (("on_base", "on the clamp, the origin of all measures"), ("on_beam", "along the beam")):
         rows = table.get(group, [])
-        place: Place = ("tags", group)
+        place: schema.Place = ("tags", group)
         if group == "on_beam" and points is not None:
             rows, place = points, ("points",)
         may_lack = bare if group == "on_beam" else not pictures
         if not isinstance(rows, list) or not (rows or may_lack):
             mistakes.add(place, f"[tags] needs at least one [[{'.'.join(map(str, place))}]] with its id: a tag {what}.")
             rows = []
-        if len(rows) > MOST_TAGS:
-            mistakes.add(place, f"[[tags.{group}]] lists {len(rows)} tags; at most {MOST_TAGS} can be followed.")
+        if len(rows) > entries.MOST_TAGS:
+            mistakes.add(
+                place, f"[[tags.{group}]] lists {len(rows)} tags; at most {entries.MOST_TAGS} can be followed."
+            )
             rows = []
         if group == "on_base":  # on the clamp, where s = 0, unless it is said otherwise
             rows = [{"s": 0.0} | row if isinstance(row, dict) else row for row in rows]
-        lists[group] = read_rows(TagEntry, rows, place, mistakes)
+        lists[group] = schema.read_rows(entries.TagEntry, rows, place, mistakes)
     check_ids(lists, table.get("family", entries.FAMILIES[0]) if pictures else None, mistakes)
     if pictures and "size_m" not in table:
         mistakes.add(("tags",), "[tags] lacks size_m: the side of the tag's black square, m, for example 0.012.")
-    return read_table(TagsEntry, table, ("tags",), mistakes, **lists)
+    return schema.read_table(entries.TagsEntry, table, ("tags",), mistakes, **lists)
 
 
-def check_ids(lists: dict[str, tuple[TagEntry, ...]], family: object, mistakes: Mistakes) -> None:
+def check_ids(lists: dict[str, tuple[entries.TagEntry, ...]], family: object, mistakes: schema.Mistakes) -> None:
     """Note every id that is given twice, or that the family of the tags does not have."""
-    count = FAMILY_SIZES.get(family, math.inf) if isinstance(family, str) else math.inf
+    count = entries.FAMILY_SIZES.get(family, math.inf) if isinstance(family, str) else math.inf
     known: set[int] = set()
     for group, tags in lists.items():
         for i, tag in enumerate(tags):
@@ -226,7 +202,7 @@ def check_ids(lists: dict[str, tuple[TagEntry, ...]], family: object, mistakes: 
             known.add(tag.id)
 
 
-def check_together(tables: dict[str, Any], data: dict[str, Any], mistakes: Mistakes) -> None:
+def check_together(tables: dict[str, Any], data: dict[str, Any], mistakes: schema.Mistakes) -> None:
     """Mistakes between tables, or between keys of one table."""
     if "points" in data and "poses" not in data:
         mistakes.add(("points",), "[[points]] go with [poses]: a film, photos or tracks have [[tags.on_beam]].")
@@ -249,7 +225,7 @@ def check_together(tables: dict[str, Any], data: dict[str, Any], mistakes: Mista
         mistakes.add(("gravity",), "[gravity] needs either base_angle_deg or base_angle_file, not both.")
 
 
-def remarks_on(tags: TagsEntry, data: dict[str, Any]) -> tuple[Remark, ...]:
+def remarks_on(tags: entries.TagsEntry, data: dict[str, Any]) -> tuple[Remark, ...]:
     """Remarks on values that are assumed because the file does not state them."""
     remarks = []
     if "placement_sd_m" not in data["tags"] and "poses" not in data:
@@ -267,7 +243,9 @@ def remarks_on(tags: TagsEntry, data: dict[str, Any]) -> tuple[Remark, ...]:
     return tuple(remarks)
 
 
-def implausible(beam: BeamEntry, tags: TagsEntry, tables: dict[str, Any], scale_sd: float) -> tuple[Remark, ...]:
+def implausible(
+    beam: entries.BeamEntry, tags: entries.TagsEntry, tables: dict[str, Any], scale_sd: float
+) -> tuple[Remark, ...]:
     """A warning for each number that is possible but probably wrong, and notes on those without effect."""
     remarks = camera_remarks(tables["camera"]) if tables["camera"] is not None else []
 
@@ -317,7 +295,7 @@ def implausible(beam: BeamEntry, tags: TagsEntry, tables: dict[str, Any], scale_
     return tuple(remarks)
 
 
-def camera_remarks(camera: CameraEntry) -> list[Remark]:
+def camera_remarks(camera: entries.CameraEntry) -> list[Remark]:
     """A warning for each number of a calibration that is unlikely."""
     warnings = []
     if abs(camera.fx / camera.fy - 1.0) > 0.05:  # pixels are square
@@ -333,7 +311,7 @@ def camera_remarks(camera: CameraEntry) -> list[Remark]:
     return [Remark("warning", text, about="camera") for text in warnings]
 
 
-def check_same_beam(wanted: Sequence[Recording], *, jointly: bool) -> None:
+def check_same_beam(wanted: Sequence[entries.Recording], *, jointly: bool) -> None:
     """`LearningError` where the recordings cannot be learned from together; `jointly`: by a method that takes
     several."""
     first = wanted[0]
@@ -358,11 +336,11 @@ def check_same_beam(wanted: Sequence[Recording], *, jointly: bool) -> None:
                 )
 
 
-def _ids(one: Recording) -> list[int]:
+def _ids(one: entries.Recording) -> list[int]:
     return [tag.id for tag in one.tags.on_beam]
 
 
-def check_same_length(length: float, description: Recording) -> None:
+def check_same_length(length: float, description: entries.Recording) -> None:
     """Raises `ObservationError` where the recording is not of a beam of that length [m]."""
     # Of the length: a larger difference is another beam, or a wrong length_m.
     if abs(description.beam.length - length) > 0.01 * length:
@@ -378,10 +356,12 @@ OTHERWISE = "Calibrate with `onebend calibrate`, or remove camera_info: then the
 
 
 def known_camera(
-    camera: CameraEntry | CameraInfoEntry | None, video: VideoEntry | None, mistakes: Mistakes
-) -> tuple[CameraEntry | None, tuple[Remark, ...]]:
+    camera: entries.CameraEntry | entries.CameraInfoEntry | None,
+    video: entries.VideoEntry | None,
+    mistakes: schema.Mistakes,
+) -> tuple[entries.CameraEntry | None, tuple[Remark, ...]]:
     """The camera of `recording.toml`, or of a topic of the film's bag; what is wrong goes to `mistakes`."""
-    if not isinstance(camera, CameraInfoEntry):
+    if not isinstance(camera, entries.CameraInfoEntry):
         return camera, ()
     if mistakes.found:
         return None, ()
@@ -392,7 +372,9 @@ def known_camera(
         return None, ()
 
 
-def camera_in_bag(entry: CameraInfoEntry, video: VideoEntry | None) -> tuple[CameraEntry, tuple[Remark, ...]]:
+def camera_in_bag(
+    entry: entries.CameraInfoEntry, video: entries.VideoEntry | None
+) -> tuple[entries.CameraEntry, tuple[Remark, ...]]:
     """The calibration that `entry` names, for the pictures of `video`, and what is to be said of it."""
     if video is None or not video.topic:
         raise RecordingError(
@@ -413,10 +395,10 @@ def camera_in_bag(entry: CameraInfoEntry, video: VideoEntry | None) -> tuple[Cam
         )
     remark = Remark("note", f"The camera is that of {info.topic}: {words}.")
     (fx, fy), (cx, cy) = np.diag(matrix)[:2].tolist(), matrix[:2, 2].tolist()
-    return CameraEntry(info.width, info.height, fx, fy, cx, cy, tuple(dist.tolist()), entry.scale_sd), (remark,)
+    return entries.CameraEntry(info.width, info.height, fx, fy, cx, cy, tuple(dist.tolist()), entry.scale_sd), (remark,)
 
 
-def checked_matrix(info: CameraInfo, video: VideoEntry, matrix: Array) -> Array:
+def checked_matrix(info: CameraInfo, video: entries.VideoEntry, matrix: Array) -> Array:
     """The matrix, if it is one of a camera."""
     place = f"[camera] camera_info: {info.topic} of {video.file}"
     if not matrix[0, 0] > 0.0 or not matrix[1, 1] > 0.0 or info.width < 1 or info.height < 1:
@@ -426,7 +408,7 @@ def checked_matrix(info: CameraInfo, video: VideoEntry, matrix: Array) -> Array:
     return matrix
 
 
-def lens_of(info: CameraInfo, video: VideoEntry) -> tuple[Array, str]:
+def lens_of(info: CameraInfo, video: entries.VideoEntry) -> tuple[Array, str]:
     """k1, k2, p1, p2, k3, and words on where they come from."""
     place, count = f"[camera] camera_info: {info.topic} of {video.file}", len(info.lens)
     if info.model in (POLYNOMIAL, "") and count == 0:
@@ -448,7 +430,7 @@ def lens_of(info: CameraInfo, video: VideoEntry) -> tuple[Array, str]:
 FILE_NAME = "recording.toml"
 BAGS = ("video", "force")  # whose file may be a bag
 PATHS = ("file", "frame_times", "base_angle_file", "mass_file", "section_file", "loads", "clicks", "folder")
-CLAMP_ALONE = TagsEntry(on_beam=(TagEntry(id=0, s=0.0),))  # what is known where nothing is looked at
+CLAMP_ALONE = entries.TagsEntry(on_beam=(entries.TagEntry(id=0, s=0.0),))  # what is known where nothing is looked at
 LINE_NAMED = re.compile(r"\bline (\d+)\b")  # in what is said of text that is no TOML
 
 
@@ -469,7 +451,7 @@ def folder_of(path: Path | str) -> Path:
 
 def read_recording(
     folder: Path | str, stated: Mapping[tuple[str, str], Any] = MappingProxyType({}), *, filmed: bool = True
-) -> Recording:
+) -> entries.Recording:
     """Read and check `recording.toml` of `folder` (or that file itself), and that the files it names exist.
 
     `stated` are values by table and key, in the file's units, that replace those in the file. With `filmed` False the
@@ -483,7 +465,7 @@ def read_recording(
     for (table, name), value in stated.items():
         if isinstance(data.setdefault(table, {}), dict):  # what is no table is a mistake, which is told below
             data[table][name] = value
-    mistakes = Mistakes(str(folder / FILE_NAME), content, HOMES)
+    mistakes = schema.Mistakes(str(folder / FILE_NAME), content, HOMES)
     rec = _described(folder, data, mistakes, filmed=filmed, bags=filmed)
     if rec is None:
         raise RecordingError(str(mistakes))
@@ -496,7 +478,7 @@ def check_text(folder: Path, content: str) -> TextCheck:
     rows = content.splitlines()
     for _, line, _ in empty:
         rows[line - 1] = ""
-    mistakes = Mistakes(FILE_NAME, content, HOMES)
+    mistakes = schema.Mistakes(FILE_NAME, content, HOMES)
     rec, data = None, {}
     try:
         data = toml_data("\n".join(rows), Path(FILE_NAME), RecordingError)
@@ -510,43 +492,45 @@ def check_text(folder: Path, content: str) -> TextCheck:
     return TextCheck(tuple(sorted(told)), remarks, MappingProxyType(data))
 
 
-def _follows(words: str, empty: list[tuple[Place, int, str]]) -> bool:
+def _follows(words: str, empty: list[tuple[schema.Place, int, str]]) -> bool:
     """Whether this mistake only says again that a key is empty."""
-    tables = [(place_name(place[:-1]), place[-1]) for place, _, _ in empty]
+    tables = [(schema.place_name(place[:-1]), place[-1]) for place, _, _ in empty]
     return any(words.startswith((f"{table} lacks {key}:", f"{table} needs either ")) for table, key in tables)
 
 
-def _described(folder: Path, data: dict[str, Any], mistakes: Mistakes, *, filmed: bool, bags: bool) -> Recording | None:
+def _described(
+    folder: Path, data: dict[str, Any], mistakes: schema.Mistakes, *, filmed: bool, bags: bool
+) -> entries.Recording | None:
     """The recording that `data` describes, or None with the reasons in `mistakes`; `bags`: look into them too."""
     check_top(data, mistakes)
     swung = read_frequencies(data["frequencies"], mistakes) if "frequencies" in data else ()
-    tags: TagsEntry | None = TagsEntry() if any(name in data for name in SOURCES) else CLAMP_ALONE
+    tags: entries.TagsEntry | None = entries.TagsEntry() if any(name in data for name in SOURCES) else CLAMP_ALONE
     if "tags" in data or "points" in data:
         outline, pictures = data.get("outline"), "video" in data or "photos" in data
         bare = not (isinstance(outline, dict) and outline.get("use") is False)
         tags = read_tags(data.get("tags", {}), mistakes, pictures=pictures, bare=bare, points=data.get("points"))
     beam = read_beam(data["beam"], mistakes) if "beam" in data else None
     sections = {
-        name: read_table(record, data[name], (name,), mistakes) if name in data else None
+        name: schema.read_table(record, data[name], (name,), mistakes) if name in data else None
         for name, record in (SECTIONS | {"camera": camera_record(data)}).items()
     }
     scale_sd = math.nan if sections["camera"] is None else sections["camera"].scale_sd
-    if isinstance(sections["camera"], UncalibratedEntry):
+    if isinstance(sections["camera"], entries.UncalibratedEntry):
         sections["camera"] = None
     beam = with_paths(beam, "beam", folder, mistakes)
     to_come = () if filmed else BAGS
-    entries = {name: with_paths(entry, name, folder, mistakes, name in to_come) for name, entry in sections.items()}
-    check_together(entries, data, mistakes)
+    tables = {name: with_paths(entry, name, folder, mistakes, name in to_come) for name, entry in sections.items()}
+    check_together(tables, data, mistakes)
     if not mistakes.found and bags:
         for name in BAGS:
-            if entries[name] is not None:
-                check_bag(name, entries[name], data[name], mistakes)
-    if isinstance(entries["camera"], CameraInfoEntry) and not bags and filmed:
-        entries["camera"] = None
-    entries["camera"], camera_remarks = known_camera(entries["camera"], entries["video"], mistakes)
+            if tables[name] is not None:
+                check_bag(name, tables[name], data[name], mistakes)
+    if isinstance(tables["camera"], entries.CameraInfoEntry) and not bags and filmed:
+        tables["camera"] = None
+    tables["camera"], camera_remarks = known_camera(tables["camera"], tables["video"], mistakes)
     if mistakes.found or beam is None or tags is None:
         return None
-    return Recording(
+    return entries.Recording(
         folder=folder,
         name=data.get("name", folder.resolve().name),
         beam=beam,
@@ -554,11 +538,11 @@ def _described(folder: Path, data: dict[str, Any], mistakes: Mistakes, *, filmed
         remarks=(
             *(remarks_on(tags, data) if "tags" in data else ()),
             *camera_remarks,
-            *implausible(beam, tags, entries, scale_sd),
+            *implausible(beam, tags, tables, scale_sd),
         ),
         scale_sd=scale_sd,
         frequencies=swung,
-        **entries,
+        **tables,
     )
 
 
@@ -577,7 +561,7 @@ def load(folder: Path) -> tuple[str, dict[str, Any]]:
         raise
 
 
-def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes, to_come: bool = False) -> Any:
+def with_paths(entry: Any, name: str, folder: Path, mistakes: schema.Mistakes, to_come: bool = False) -> Any:
     """`entry` with the files it names made whole paths; each must exist, but for those `to_come`."""
     if entry is None:
         return None
@@ -597,7 +581,7 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes, to_come:
             said = f"{shown} is {other}, and no file." if other else f"there is no {what} {shown}."
             mistakes.add((name, field_name), f"[{name}] {field_name}: {said} {hint}")
         entry = replace(entry, **{field_name: path})
-    if isinstance(entry, VideoEntry | MarkersEntry) and math.isnan(entry.start):
+    if isinstance(entry, entries.VideoEntry | entries.MarkersEntry) and math.isnan(entry.start):
         entry = replace(entry, start_uncertainty=math.inf)
     return entry
 

@@ -12,13 +12,10 @@ from scipy.ndimage import uniform_filter1d
 from scipy.special import chdtri
 
 from onebend.errors import ObservationError
-from onebend.recording.bag_topics import read_bag_force
-from onebend.recording.beam_frame import BaseLog, base_clock, check_overlap
+from onebend.recording import bag_topics, beam_frame, clock_features, force_noise
 from onebend.recording.clock import ClockFit, fit_clock
-from onebend.recording.clock_features import ClockSettings
 from onebend.recording.entries import Recording
 from onebend.recording.force_log import FEWEST_ROWS, noise_remarks, read_force_log, refuse_other_unit, size_remarks
-from onebend.recording.force_noise import first_guess
 from onebend.recording.signals import MAD_TO_SD, at_times, bridged, low_pass, outliers, runs, step
 from onebend.records import Array, BoolArray, CleanForce, ClockOffset, ForceLog, ForceNoise, Markers, Remark
 
@@ -221,7 +218,7 @@ def clean_force(
     if len(zero.time) > 1:
         drift = (zero.value[-1] - zero.value[0]) / (zero.time[-1] - zero.time[0])
     if noise is not None:  # the log's own samples show its white part
-        noise = replace(noise, white=first_guess(force, spacing).white, spacing=spacing)
+        noise = replace(noise, white=force_noise.first_guess(force, spacing).white, spacing=spacing)
     return CleanForce(
         time=log.time,
         force=clean,
@@ -332,7 +329,7 @@ def read_log(rec: Recording) -> ForceLog | None:
     if rec.force is None:
         return None
     if rec.force.topic:
-        return read_bag_force(rec.force)
+        return bag_topics.read_bag_force(rec.force)
     column = rec.push.column if rec.push else ""
     log = read_force_log(rec.force.file, rec.force.columns, column, time_unit=rec.force.time_unit)
     return replace(log, remarks=(*log.remarks, *noise_remarks(log, rec.force.sensor, rec.force.white_sd)))
@@ -342,8 +339,8 @@ def match_clocks(
     rec: Recording,
     markers: Markers,
     log: ForceLog | None,
-    base: BaseLog | None,
-    clock: ClockSettings,
+    base: beam_frame.BaseLog | None,
+    clock: clock_features.ClockSettings,
     force: ForceSettings,
 ) -> tuple[ForceLog | None, ClockFit]:
     """The offset from the force, else from the base's turn, else as written; 0 where there is no second clock.
@@ -369,7 +366,7 @@ def match_clocks(
             fit = fitted(log)
             fit = replace(fit, remarks=(remark, *fit.remarks))
     if base is not None and not fit.clock.found:
-        base_offset = base_clock(markers, base, stated, uncertainty, margin=clock.margin)
+        base_offset = beam_frame.base_clock(markers, base, stated, uncertainty, margin=clock.margin)
         if base_offset.found or log is None:
             fit = ClockFit(base_offset, rate=fit.rate)
     if not math.isfinite(fit.clock.offset):
@@ -379,7 +376,7 @@ def match_clocks(
             about="clock",
         )
     times = log.time if log is not None else base.time if base is not None else markers.time
-    check_overlap(markers, times, fit.clock.offset, "force log" if log is not None else "base angle log")
+    beam_frame.check_overlap(markers, times, fit.clock.offset, "force log" if log is not None else "base angle log")
     return log, fit
 
 

@@ -9,46 +9,19 @@ from typing import Protocol
 
 import numpy as np
 
+from onebend import records
 from onebend.errors import ObservationError, RecordingError
 from onebend.options import option
 from onebend.progress import Progress, Silent, one_blas_thread
-from onebend.recording import tracks
+from onebend.recording import clock_features, force as forces, force_axes, outline, photos, poses, stated, tracks
 from onebend.recording.beam_frame import BaseLog, RestShape, gravity_in_frame, read_base_log, rest_shape, to_beam_frame
 from onebend.recording.camera import measure_markers, measure_tags, with_checked_turns
-from onebend.recording.clock_features import ClockSettings
 from onebend.recording.entries import Recording, TagsEntry, VideoEntry
 from onebend.recording.folder import FILE_NAME, read_recording
-from onebend.recording.force import (
-    ContactSettings,
-    ForceSettings,
-    cleaned,
-    find_contact,
-    force_at,
-    match_clocks,
-    read_log,
-    usable,
-)
-from onebend.recording.force_axes import check_direction, check_place
-from onebend.recording.outline import with_outline
-from onebend.recording.photos import photo_observations
-from onebend.recording.poses import pose_observations
 from onebend.recording.signals import MOST_FRAMES, check_span
-from onebend.recording.stated import stated_in
 from onebend.recording.tags import detect_tags
 from onebend.recording.tool import tool_checked, tool_in_film
 from onebend.recording.video import KeptFrames, spacing_of
-from onebend.records import (
-    Array,
-    BoolArray,
-    Detections,
-    ForceLog,
-    Markers,
-    Observations,
-    Source,
-    of_markers,
-    read_before_fit,
-    tags_among,
-)
 
 FEWEST_FRAMES = 10  # a guard, as for the force log
 
@@ -68,9 +41,9 @@ class ObserveSettings:
         within=(0.0, 1e9),
     )
     check_force: bool = True  # refuse a force that contradicts the bending
-    clock: ClockSettings = field(default_factory=ClockSettings)
-    contact: ContactSettings = field(default_factory=ContactSettings)
-    force: ForceSettings = field(default_factory=ForceSettings)
+    clock: clock_features.ClockSettings = field(default_factory=clock_features.ClockSettings)
+    contact: forces.ContactSettings = field(default_factory=forces.ContactSettings)
+    force: forces.ForceSettings = field(default_factory=forces.ForceSettings)
 
 
 class Detect(Protocol):
@@ -78,7 +51,7 @@ class Detect(Protocol):
 
     def __call__(
         self, video: VideoEntry, tags: TagsEntry, *, threads: int | None = None, progress: Progress = Silent()
-    ) -> Detections: ...
+    ) -> records.Detections: ...
 
 
 @one_blas_thread
@@ -86,11 +59,11 @@ def observe(
     recording: Recording | Path | str,
     *,
     settings: ObserveSettings = ObserveSettings(),
-    detections: Detections | None = None,
+    detections: records.Detections | None = None,
     detect: Detect = detect_tags,
     frames: KeptFrames | None = None,
     progress: Progress = Silent(),
-) -> Observations:
+) -> records.Observations:
     """The observations of a recording, on the force log's clock and in the beam's frame.
 
     `detections` are tags found earlier in the same video; without them the video is searched by `detect`, once the
@@ -109,17 +82,17 @@ def observe(
 def _shown(
     rec: Recording,
     settings: ObserveSettings,
-    detections: Detections | None,
+    detections: records.Detections | None,
     detect: Detect,
     frames: KeptFrames | None,
     progress: Progress,
-) -> Observations:
+) -> records.Observations:
     """What film, tracks, photos or poses show of the beam."""
     if rec.poses is not None:
-        return pose_observations(rec)
+        return poses.pose_observations(rec)
     if rec.photos is not None:
-        return photo_observations(rec, progress=progress)[0]
-    log = read_log(rec)
+        return photos.photo_observations(rec, progress=progress)[0]
+    log = forces.read_log(rec)
     base = read_base_log(rec.gravity.base_angle_file) if rec.gravity and rec.gravity.base_angle_file else None
     if rec.markers is not None:
         return assemble(rec, tracks.track_markers(rec, settings.contact), log, base, settings)
@@ -132,7 +105,7 @@ def _shown(
     markers = with_checked_turns(tags.markers(), rec)
     if rec.traces_outline:
         frames = KeptFrames() if frames is None else frames
-        markers = with_outline(tags, markers, number, kept=frames, progress=progress)
+        markers = outline.with_outline(tags, markers, number, kept=frames, progress=progress)
     seen = assemble(rec, markers, log, base, settings)
     base_angle = markers.base_angle[seen.frame]
     seen = replace(seen, frame=number[seen.frame])
@@ -143,8 +116,11 @@ def _shown(
 
 
 def observe_markers(
-    rec: Recording, markers: Markers, log: ForceLog | None, settings: ObserveSettings = ObserveSettings()
-) -> Observations:
+    rec: Recording,
+    markers: records.Markers,
+    log: records.ForceLog | None,
+    settings: ObserveSettings = ObserveSettings(),
+) -> records.Observations:
     """The observations of tags and force that were read elsewhere, as from a live camera; raises as `observe`."""
     return tracks.with_frequencies(assemble(rec, markers, log, None, settings), rec)
 
@@ -166,13 +142,18 @@ def swing_signals(
     if rec.video is None:
         raise RecordingError(f"{rec.folder}: nothing in it moves. Give a film or tracks of a free swing, or a table")
     detections = detect(rec.video, rec.tags, threads=threads, progress=progress)
-    return tracks.signals_of_markers(measure_markers(detections.of_searched()[0], rec), rec.name)
+    markers = measure_markers(detections.of_searched()[0], rec)
+    return tracks.signals_of_places(rec.name, markers.time, markers.xy)
 
 
 @one_blas_thread
 def assemble(
-    rec: Recording, markers: Markers, log: ForceLog | None, base: BaseLog | None, settings: ObserveSettings
-) -> Observations:
+    rec: Recording,
+    markers: records.Markers,
+    log: records.ForceLog | None,
+    base: BaseLog | None,
+    settings: ObserveSettings,
+) -> records.Observations:
     """Markers and logs on one clock and in one frame."""
     if len(markers.time) < FEWEST_FRAMES:
         raise ObservationError(
@@ -181,28 +162,28 @@ def assemble(
         )
     check_span(markers.time, rec.name, most=MOST_FRAMES)
     # Clocks and contact are read with angles; only measured ones are learned from.
-    reading = tracks.with_angles(of_markers(markers, read_before_fit(markers)))
-    log, fit = match_clocks(rec, reading, log, base, settings.clock, settings.force)
-    contact = find_contact(reading, log, offset=fit.clock.offset, settings=settings.contact)
+    reading = tracks.with_angles(records.of_markers(markers, records.read_before_fit(markers)))
+    log, fit = forces.match_clocks(rec, reading, log, base, settings.clock, settings.force)
+    contact = forces.find_contact(reading, log, offset=fit.clock.offset, settings=settings.contact)
     time, clean = markers.time + fit.clock.offset, None
     force, push_s, loaded = np.zeros((len(time), 2)), np.full(len(time), np.nan), np.zeros(len(time), dtype=bool)
     if log is not None:
-        clean = cleaned(rec, log, contact, fit, settings.force)
+        clean = forces.cleaned(rec, log, contact, fit, settings.force)
         at_s = rec.push.at if rec.push else np.nan
-        force, push_s = force_at(clean, time, at_s, epsilon=settings.epsilon, settings=settings.force)
+        force, push_s = forces.force_at(clean, time, at_s, epsilon=settings.epsilon, settings=settings.force)
         loaded = contact.loaded
     gravity = gravity_in_frame(rec.gravity, base, markers, time)
     in_frame, rest, frame_remarks = to_beam_frame(markers, contact.still, rec.tags.placement_sd, gravity)
-    few = of_markers(in_frame, read_before_fit(in_frame))
+    few = records.of_markers(in_frame, records.read_before_fit(in_frame))
     angled = tracks.with_angles(few)
     bare = rest_shape(angled, contact.still)
-    implausible = check_direction(rec, angled, bare, force, push_s, loaded, refuse=settings.check_force)
-    if np.any(tags_among(few)):  # points of an outline have no angle of their own
-        implausible += check_place(rec, few, rest_shape(few, contact.still), push_s, loaded)
-    use, drop_remarks = usable(markers, force)
+    implausible = force_axes.check_direction(rec, angled, bare, force, push_s, loaded, refuse=settings.check_force)
+    if np.any(records.tags_among(few)):  # points of an outline have no angle of their own
+        implausible += force_axes.check_place(rec, few, rest_shape(few, contact.still), push_s, loaded)
+    use, drop_remarks = forces.usable(markers, force)
     remarks = (*rec.remarks, *markers.remarks, *fit.remarks)
     remarks += frame_remarks if clean is None else (*contact.remarks, *frame_remarks, *clean.remarks)
-    source = Source(
+    source = records.Source(
         name=rec.name,
         video=rec.video.file if rec.video else None,
         video_topic=rec.video.topic if rec.video else "",
@@ -220,26 +201,26 @@ def assemble(
 class LoadsAtFrames:
     """The loads on the beam in every frame, on the log's clock."""
 
-    time: Array  # (T,) s
-    gravity: Array  # (T, 2) m/s^2
-    force: Array  # (T, 2) N, NaN where the log has no row
-    push_s: Array  # (T,)
-    loaded: BoolArray  # (T,)
+    time: records.Array  # (T,) s
+    gravity: records.Array  # (T, 2) m/s^2
+    force: records.Array  # (T, 2) N, NaN where the log has no row
+    push_s: records.Array  # (T,)
+    loaded: records.BoolArray  # (T,)
 
 
 def observations_of(
     rec: Recording,
-    source: Source,
-    markers: Markers,
+    source: records.Source,
+    markers: records.Markers,
     rest: RestShape,
     loads: LoadsAtFrames,
-    force_sd: Array,
-    use: BoolArray,
-) -> Observations:
+    force_sd: records.Array,
+    use: records.BoolArray,
+) -> records.Observations:
     """The frames `use` (T,) of what was read, in one record."""
-    return Observations(
+    return records.Observations(
         source=source,
-        stated=stated_in(rec),
+        stated=stated.stated_in(rec),
         length=rec.beam.length,
         frame=np.flatnonzero(use).astype(np.int64),
         tag_id=markers.tag_id,

@@ -18,38 +18,10 @@ from numpy.typing import NDArray
 
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, track
-from onebend.recording.camera import MeasuredTags
-from onebend.recording.entries import Recording
-from onebend.recording.flanks import (
-    LEAST,
-    MEASURED,
-    MIDDLE,
-    NEIGHBOURS,
-    OUT,
-    PAPER,
-    REACH,
-    SAMPLES_ASIDE,
-    SIDES,
-    STATES,
-    STEP,
-    WIDEST,
-    BodyPlace,
-    OutlinedBody,
-    Sight,
-    Stations,
-    edge_place,
-    find_flanks,
-    grown,
-    pixel_noise,
-    planes_of,
-    scale_of,
-    sides_of,
-)
-from onebend.recording.plane import project
+from onebend.recording import camera, entries, flanks, plane, video
 from onebend.recording.signals import MAD_TO_SD, correlation_time, nan_mean, nan_median, running_median
 from onebend.recording.tags import in_order
-from onebend.recording.video import KeptFrames, timed
-from onebend.records import Array, BoolArray, IntArray, Markers, OutlineTrack, Remark, View
+from onebend.records import Array, BoolArray, IntArray, Markers, OutlineTrack, Remark, View, left_of, unit
 
 # The film: each picture is searched near where the two before predict the body.
 
@@ -71,34 +43,34 @@ class OutlineSearch:
     away: Array  # (T, 2, M) m, from these curves to the flanks; NaN where not seen
 
 
-def body_place(rec: Recording, view: View) -> BodyPlace:
+def body_place(rec: entries.Recording, view: View) -> flanks.BodyPlace:
     """Where the body of a recording is looked for."""
     length = rec.beam.length
-    count = math.ceil(length * scale_of(view, length) / STATION)
-    stations = Stations(length, min(max(2 * POINTS, count), STATIONS))
-    base, paper = rec.tags.on_base[0].s, PAPER * rec.tags.size / length
+    count = math.ceil(length * flanks.scale_of(view, length) / STATION)
+    stations = flanks.Stations(length, min(max(2 * POINTS, count), STATIONS))
+    base, paper = rec.tags.on_base[0].s, flanks.PAPER * rec.tags.size / length
     hidden = np.min([np.abs(stations.s - s) for s in (base, *(tag.s for tag in rec.tags.on_beam))], axis=0) < paper
     width = math.nan if rec.outline is None else rec.outline.width
-    return BodyPlace(rec.name, view, stations, hidden | (stations.s < base), width)
+    return flanks.BodyPlace(rec.name, view, stations, hidden | (stations.s < base), width)
 
 
 class FlankFollower:
     """Follows the flanks through consecutive pictures. A picture in which the body is lost shows none; the next is
     searched near where the body was last, and near where it was first."""
 
-    def __init__(self, place: BodyPlace) -> None:
+    def __init__(self, place: flanks.BodyPlace) -> None:
         self.place = place
-        self.body: OutlinedBody | None = None  # in the first picture
+        self.body: flanks.OutlinedBody | None = None  # in the first picture
         self._seen: deque[float] = deque(maxlen=USUAL)
         self._last: tuple[Array, Array, Array] | None = None  # the curve's numbers, their last and their usual change
 
-    def step(self, sight: Sight) -> tuple[Array, Array]:
+    def step(self, sight: flanks.Sight) -> tuple[Array, Array]:
         """(1 + K,) numbers of the curve along which the flanks were looked for, and (2, M) m from it to them.
 
         Raises:
             ObservationError: the first picture shows no body beside the clamp.
         """
-        body = self.body = self.body or grown(sight, self.place)
+        body = self.body = self.body or flanks.grown(sight, self.place)
         still = np.zeros_like(body.state)
         last, newest, usual = (body.state, still, still) if self._last is None else self._last
         least = LOST * (float(np.median(self._seen)) if self._seen else 0.0)
@@ -119,7 +91,7 @@ class FlankFollower:
         return state, away
 
 
-def follow(sights: Iterable[Sight], place: BodyPlace) -> tuple[OutlineSearch, Array]:
+def follow(sights: Iterable[flanks.Sight], place: flanks.BodyPlace) -> tuple[OutlineSearch, Array]:
     """The flanks in consecutive pictures, and half the width (M,) m in the first of them."""
     follower = FlankFollower(place)
     state, away = zip(*(follower.step(sight) for sight in sights), strict=True)
@@ -127,32 +99,34 @@ def follow(sights: Iterable[Sight], place: BodyPlace) -> tuple[OutlineSearch, Ar
     return OutlineSearch(np.stack(state), np.stack(away)), follower.body.half
 
 
-def each_alone(sights: Iterable[Sight], place: BodyPlace) -> tuple[OutlineSearch, Array]:
+def each_alone(sights: Iterable[flanks.Sight], place: flanks.BodyPlace) -> tuple[OutlineSearch, Array]:
     """As `follow`, of pictures that have nothing to do with each other."""
     tried = [_alone(one, place) for one in sights]
     half = np.median([body.half for body, _ in tried], axis=0)
     return OutlineSearch(np.stack([body.state for body, _ in tried]), np.stack([away for _, away in tried])), half
 
 
-def _alone(sight: Sight, place: BodyPlace) -> tuple[OutlinedBody, Array]:
-    body = grown(sight, place)
-    away = find_flanks(sight, place.stations.curve(body.state), body.half, body.look)
+def _alone(sight: flanks.Sight, place: flanks.BodyPlace) -> tuple[flanks.OutlinedBody, Array]:
+    body = flanks.grown(sight, place)
+    away = flanks.find_flanks(sight, place.stations.curve(body.state), body.half, body.look)
     return body, np.where(place.hidden, np.nan, away)
 
 
-def _near(sight: Sight, place: BodyPlace, body: OutlinedBody, state: Array) -> tuple[float, Array, Array, Array]:
+def _near(
+    sight: flanks.Sight, place: flanks.BodyPlace, body: flanks.OutlinedBody, state: Array
+) -> tuple[float, Array, Array, Array]:
     """Near the curve of `state`: the share of the stations that show both flanks as wide apart as the body is, the
     curve (1 + K,) that the flanks were looked for along, they (2, M) m from it, and the curve between them."""
     stations, hidden = place.stations, place.hidden
-    sd = MEASURED / float(np.median(sight.outward(stations.curve(state))[1]))
+    sd = flanks.MEASURED / float(np.median(sight.outward(stations.curve(state))[1]))
     for _ in range(3):
         curve = stations.curve(state)
-        away = np.where(hidden, np.nan, find_flanks(sight, curve, body.half, body.look))
-        new = stations.fitted(state, nan_mean(away - SIDES[:, None] * body.half), sd)
-        if np.max(np.abs(stations.across(curve) @ (new - state))) < FAR * REACH * sd / MEASURED:
+        away = np.where(hidden, np.nan, flanks.find_flanks(sight, curve, body.half, body.look))
+        new = stations.fitted(state, nan_mean(away - flanks.SIDES[:, None] * body.half), sd)
+        if np.max(np.abs(stations.across(curve) @ (new - state))) < FAR * flanks.REACH * sd / flanks.MEASURED:
             break
         state = new
-    wide = np.abs(away[0] - away[1] - 2.0 * body.half) < WIDE * sd / MEASURED
+    wide = np.abs(away[0] - away[1] - 2.0 * body.half) < WIDE * sd / flanks.MEASURED
     return float(np.mean(wide[~hidden])), state, away, new
 
 
@@ -180,9 +154,9 @@ class Straightened:
     sample: Array  # (T, M) m from one colour to the next
 
 
-def through_tags(stations: Stations, tags: Markers) -> Array:
+def through_tags(stations: flanks.Stations, tags: Markers) -> Array:
     """(T, 1 + K) numbers of smooth curves from the clamp through the tags, along their directions; NaN without tags."""
-    state, out = np.zeros(1 + STATES), np.full((len(tags.xy), 1 + STATES), np.nan)
+    state, out = np.zeros(1 + flanks.STATES), np.full((len(tags.xy), 1 + flanks.STATES), np.nan)
     at = np.array([int(np.argmin(np.abs(stations.s - s))) for s in tags.s])
     turns = np.column_stack([np.zeros(stations.count), stations.functions])
     for t, seen in enumerate(np.isfinite(tags.xy).all(axis=2) & np.isfinite(tags.angle)):
@@ -211,18 +185,18 @@ def through_tags(stations: Stations, tags: Markers) -> Array:
     return out
 
 
-def straightened(sights: Iterable[Sight], stations: Stations, state: Array) -> Straightened:
+def straightened(sights: Iterable[flanks.Sight], stations: flanks.Stations, state: Array) -> Straightened:
     """The pictures along the curves of these numbers (T, 1 + K)."""
     out: Array = np.zeros(0)
 
-    def one(seen: tuple[Sight, Array]) -> tuple[NDArray[np.uint8], Array]:
+    def one(seen: tuple[flanks.Sight, Array]) -> tuple[NDArray[np.uint8], Array]:
         nonlocal out
         sight, curve = seen[0], stations.curve(np.nan_to_num(seen[1]))
         normal, scale = sight.outward(curve)
         if not len(out):
-            widest = WIDEST * stations.length * float(np.max(scale))  # px
-            out = np.arange(0.0, widest, max(STEP, widest / FINEST))
-        places = sight.pixels(curve.xy)[:, None] + SIDES[:, None, None, None] * out[:, None] * normal[:, None]
+            widest = flanks.WIDEST * stations.length * float(np.max(scale))  # px
+            out = np.arange(0.0, widest, max(flanks.STEP, widest / FINEST))
+        places = sight.pixels(curve.xy)[:, None] + flanks.SIDES[:, None, None, None] * out[:, None] * normal[:, None]
         return (np.nan_to_num(sight.planes.at(places), copy=False) + 0.5).astype(np.uint8), out[1] / scale
 
     with ThreadPoolExecutor(1) as beside:  # while the next picture is read
@@ -234,10 +208,10 @@ def lasting_edges(seen: Straightened, hidden: BoolArray, pixel_sd: Array) -> tup
     """(2, M) the sample at which each side's edge stays in all pictures: the line along the body whose steps of colour
     are the largest; and their size, in sds of a colour. Raises `ObservationError` where nothing of the body is seen."""
     known = np.flatnonzero(np.isfinite(seen.state[:, 0]))
-    if hidden.all() or not len(known) or seen.colour.shape[3] <= 4 * SAMPLES_ASIDE:
+    if hidden.all() or not len(known) or seen.colour.shape[3] <= 4 * flanks.SAMPLES_ASIDE:
         raise ObservationError(_NO_EDGES, about="outline")
     chosen = known[np.unique(np.linspace(0, len(known) - 1, LOOKED_AT).astype(int))]
-    at = np.arange(SAMPLES_ASIDE, seen.colour.shape[-2] - SAMPLES_ASIDE)
+    at = np.arange(flanks.SAMPLES_ASIDE, seen.colour.shape[-2] - flanks.SAMPLES_ASIDE)
     size = np.median([step_size(seen.colour[one].astype(np.float32), at, pixel_sd) for one in chosen], axis=0)
     place: IntArray = np.empty(size.shape[:2], dtype=np.int64)
     for side in range(2):
@@ -263,7 +237,7 @@ def best_line(worth: Array) -> IntArray:
 
 def step_size(colour: NDArray[np.float32], at: IntArray, pixel_sd: Array) -> NDArray[np.float32]:
     """(..., j) sds by which colours (..., J, 3) differ on both sides of the samples `at` (j,)."""
-    inside, outside = sides_of(colour, at)
+    inside, outside = flanks.sides_of(colour, at)
     step = (outside - inside) / pixel_sd.astype(np.float32)
     return np.asarray(np.sqrt(np.einsum("...c,...c->...", step, step)))
 
@@ -274,44 +248,44 @@ def edges_near(
     """(2, M) samples outward of the edges near the `expected` (2, M) in one straightened picture (2, M, J, 3); NaN
     where none is as large as `least` (2, M), in sds of a colour. Not `fine`: to a sample."""
     first = np.rint(expected).astype(np.int64)
-    window = np.clip(first[..., None] + np.arange(len(OUT)) - len(OUT) // 2, 0, colour.shape[2] - 1)
+    window = np.clip(first[..., None] + np.arange(len(flanks.OUT)) - len(flanks.OUT) // 2, 0, colour.shape[2] - 1)
     rows = np.arange(first.size).reshape(*first.shape, 1) * colour.shape[2]
     near = colour.reshape(-1, 3).take(rows + window, axis=0).astype(np.float32)
-    size = step_size(near, MIDDLE, pixel_sd)
-    off = (OUT[MIDDLE] - STEP * (expected - first)[..., None]).astype(np.float32) / NEAR
+    size = step_size(near, flanks.MIDDLE, pixel_sd)
+    off = (flanks.OUT[flanks.MIDDLE] - flanks.STEP * (expected - first)[..., None]).astype(np.float32) / NEAR
     best = np.argmax(size * np.exp(-0.5 * off**2), axis=2)
-    place = edge_place(near, MIDDLE[best], pixel_sd) if fine else OUT[MIDDLE[best]]
-    clear = (np.take_along_axis(size, best[..., None], axis=2)[..., 0] >= least) & (np.abs(place) < REACH)
-    return np.asarray(np.where(clear, first + place / STEP, np.nan))
+    place = flanks.edge_place(near, flanks.MIDDLE[best], pixel_sd) if fine else flanks.OUT[flanks.MIDDLE[best]]
+    clear = (np.take_along_axis(size, best[..., None], axis=2)[..., 0] >= least) & (np.abs(place) < flanks.REACH)
+    return np.asarray(np.where(clear, first + place / flanks.STEP, np.nan))
 
 
 def with_tags(
-    sights: Iterable[Sight], stations: Stations, hidden: BoolArray, tags: Markers
+    sights: Iterable[flanks.Sight], stations: flanks.Stations, hidden: BoolArray, tags: Markers
 ) -> tuple[OutlineSearch, Array]:
     """The flanks in pictures whose `tags` are known, and half the body's width (M,) m."""
     seen = straightened(sights, stations, through_tags(stations, tags))
     some = seen.colour[:: max(1, len(seen.colour) // NOISY)].astype(np.float32)
-    pixel_sd = np.maximum(pixel_noise(some, axis=3), 1.0)
+    pixel_sd = np.maximum(flanks.pixel_noise(some, axis=3), 1.0)
     place, size = lasting_edges(seen, hidden, pixel_sd)
-    least = np.maximum(STAYS * size, LEAST)
+    least = np.maximum(STAYS * size, flanks.LEAST)
     found = []
     for state, colour, sample in zip(seen.state, seen.colour, seen.sample, strict=True):
         if np.isnan(state[0]):
             found.append(np.full(place.shape, np.nan))
             continue
-        sd = MEASURED * float(np.median(sample)) / STEP
+        sd = flanks.MEASURED * float(np.median(sample)) / flanks.STEP
         coarse = np.where(hidden, np.nan, edges_near(colour, place.astype(float), least, pixel_sd, fine=False))
-        smooth = stations.fitted(state, SIDES[:, None] * (coarse - place) * sample, sd)
-        expected = place + SIDES[:, None] * (stations.across(stations.curve(state)) @ (smooth - state)) / sample
+        smooth = stations.fitted(state, flanks.SIDES[:, None] * (coarse - place) * sample, sd)
+        expected = place + flanks.SIDES[:, None] * (stations.across(stations.curve(state)) @ (smooth - state)) / sample
         away = np.where(hidden, np.nan, edges_near(colour, expected, least, pixel_sd))
-        away = np.where(np.abs(away - expected) * STEP < NEAR, away, np.nan)
-        found.append(SIDES[:, None] * away * sample)
-    flanks, half = np.stack(found), 0.5 * place.sum(axis=0) * np.median(seen.sample, axis=0)
-    if np.isfinite(flanks[:, :, ~hidden]).mean() < LEAST_SEEN:
+        away = np.where(np.abs(away - expected) * flanks.STEP < NEAR, away, np.nan)
+        found.append(flanks.SIDES[:, None] * away * sample)
+    away, half = np.stack(found), 0.5 * place.sum(axis=0) * np.median(seen.sample, axis=0)
+    if np.isfinite(away[:, :, ~hidden]).mean() < LEAST_SEEN:
         raise ObservationError(_NO_EDGES, about="outline")
     known = np.flatnonzero(np.isfinite(seen.state[:, 0]))
     every = np.stack([np.interp(np.arange(len(seen.state)), known, one[known]) for one in seen.state.T], axis=1)
-    return OutlineSearch(every, flanks), half
+    return OutlineSearch(every, away), half
 
 
 # The centreline: the width is the same in all pictures; flanks that contradict it, or their neighbours, are left out.
@@ -329,7 +303,7 @@ def body_width(away: Array, half: Array) -> tuple[Array, float]:
     often = np.isfinite(width).sum(axis=0) > 0.1 * len(width)
     usual = np.where(often, nan_median(width), 2.0 * half)
     if len(width) == 1:  # a picture alone: by its neighbours along the body
-        usual = np.where(often, running_median(usual, NEIGHBOURS), usual)
+        usual = np.where(often, running_median(usual, flanks.NEIGHBOURS), usual)
     return usual, MAD_TO_SD * float(np.nanmedian(np.abs(width - usual)))
 
 
@@ -355,16 +329,16 @@ class Middle:
     width: Array  # (M,) m
 
 
-def centreline(found: OutlineSearch, stations: Stations, half: Array, sd: float) -> Middle:
+def centreline(found: OutlineSearch, stations: flanks.Stations, half: Array, sd: float) -> Middle:
     """The middle between the flanks; `sd` m is that of the fits of smooth curves."""
     width, spread = body_width(found.away, half)
-    each = found.away - 0.5 * SIDES[:, None] * width
+    each = found.away - 0.5 * flanks.SIDES[:, None] * width
     states = np.stack([stations.fitted(*one, sd) for one in zip(found.state, each, strict=True)])
     smooth = np.stack([stations.across(stations.curve(a)) @ (b - a) for a, b in zip(found.state, states, strict=True)])
     away = middles(each, smooth, spread) - smooth
     apart = each[:, 0] - each[:, 1]
     apart = np.where(np.abs(apart) <= OUTLIER * spread, apart, np.nan)
-    local = away - running_median(away.T, NEIGHBOURS).T
+    local = away - running_median(away.T, flanks.NEIGHBOURS).T
     white = MAD_TO_SD * float(np.nanmedian(np.abs(local)))
     away = np.where(np.abs(local) <= OUTLIER * white, away, np.nan)
     local = np.clip(local / max(white, 1e-12), -OUTLIER, OUTLIER)
@@ -373,14 +347,14 @@ def centreline(found: OutlineSearch, stations: Stations, half: Array, sd: float)
 
 
 def outline_track(
-    rec: Recording,
+    rec: entries.Recording,
     view: View,
     corners: Array,
     frames: IntArray,
     *,
     tags: Markers | None = None,
     apart: bool = False,
-    kept: KeptFrames | None = None,
+    kept: video.KeptFrames | None = None,
     progress: Progress = Silent(),
 ) -> OutlineTrack:
     """The body's centreline in the `frames` (T,) of the film of `rec`, in which the base tags' corners (T, b, 4, 2)
@@ -398,13 +372,13 @@ def outline_track(
     shift = np.stack([np.interp(np.arange(len(shift)), np.flatnonzero(known), one[known]) for one in shift.T], axis=1)
     wanted = {int(frame): row for row, frame in enumerate(frames)}
 
-    def sights() -> Iterator[Sight]:
+    def sights() -> Iterator[flanks.Sight]:
         assert rec.video is not None
-        for index, _, raw in track(progress, "Following the outline", timed(rec.video), len(frames)):
+        for index, _, raw in track(progress, "Following the outline", video.timed(rec.video), len(frames)):
             if kept is not None and not rec.video.topic:
                 kept.keep(rec.video, index, raw)
             if index in wanted:
-                yield Sight(planes_of(rec, index, raw), view, shift[wanted[index]])
+                yield flanks.Sight(flanks.planes_of(rec, index, raw), view, shift[wanted[index]])
 
     if tags is not None:
         found, half = with_tags(sights(), place.stations, place.hidden, tags)
@@ -413,14 +387,14 @@ def outline_track(
     return track_of(place, found, half, shift)
 
 
-def track_of(place: BodyPlace, found: OutlineSearch, half: Array, shift: Array) -> OutlineTrack:
+def track_of(place: flanks.BodyPlace, found: OutlineSearch, half: Array, shift: Array) -> OutlineTrack:
     """The centreline of the body whose flanks were found in T pictures that lie `shift` (T, 2) px off the view's;
     `half` (M,) m of its width in the first of them.
 
     Raises:
         ObservationError: what was followed is no body of one width from clamp to tip.
     """
-    middle = centreline(found, place.stations, half, MEASURED / place.scale)
+    middle = centreline(found, place.stations, half, flanks.MEASURED / place.scale)
     refuse_lost(middle, found, ~place.hidden, place.name)
     points = points_of(middle, found, place.stations, place.view, shift, place.scale)
     return replace(often_seen(points), remarks=lost_remarks(found))
@@ -437,12 +411,12 @@ APART = 1.5  # times its own sds: tags curl and lie at heights of their own, so 
 
 
 def with_outline(
-    tags: MeasuredTags,
+    tags: camera.MeasuredTags,
     markers: Markers,
     number: IntArray,
     *,
     apart: bool = False,
-    kept: KeptFrames | None = None,
+    kept: video.KeptFrames | None = None,
     progress: Progress = Silent(),
 ) -> Markers:
     """The `markers` of these tags, in frames of this `number`, with points of the body's outline; a note where there
@@ -469,7 +443,7 @@ def with_outline(
     return joined(tags, markers, found)
 
 
-def joined(tags: MeasuredTags, markers: Markers, found: Callable[[], OutlineTrack]) -> Markers:
+def joined(tags: camera.MeasuredTags, markers: Markers, found: Callable[[], OutlineTrack]) -> Markers:
     """The `markers` of these tags with the points of the outline that is `found` in the same frames; raises, and leaves
     it out, as `with_outline`."""
     rec = tags.description
@@ -504,7 +478,7 @@ def left_out(why: str) -> Remark:
     return Remark("note", f"The body's outline is not used beside the tags: {why}.")
 
 
-def contradicted(both: Markers, rec: Recording) -> str:
+def contradicted(both: Markers, rec: entries.Recording) -> str:
     """Where the outline contradicts the tags, in words; "" where it does not, or there are none between its points."""
     assert both.traced is not None
     points = np.flatnonzero(both.traced)
@@ -535,13 +509,11 @@ def _from_line(both: Markers, tag: int, before: int, after: int, length: float) 
     span = float(both.s[after] - both.s[before])
     u = float(both.s[tag] - both.s[before]) / span
     ends = [both.xy[:, before], both.xy[:, after]]
-    slopes = [
-        span * length * np.stack([np.cos(both.angle[:, i]), np.sin(both.angle[:, i])], axis=1) for i in (before, after)
-    ]
+    slopes = [span * length * unit(both.angle[:, i]) for i in (before, after)]
     rise = u * u * (3.0 - 2.0 * u)
     line = (1.0 - rise) * ends[0] + rise * ends[1] + u * (1.0 - u) * ((1.0 - u) * slopes[0] - u * slopes[1])
     chord = ends[1] - ends[0]
-    left = np.stack([-chord[:, 1], chord[:, 0]], axis=1) / np.linalg.norm(chord, axis=1)[:, None]
+    left = left_of(chord) / np.linalg.norm(chord, axis=1)[:, None]
     return np.asarray(np.sum((both.xy[:, tag] - line) * left, axis=1))
 
 
@@ -597,7 +569,7 @@ def lasting_sd(apart: Array) -> Array:
 
 
 def points_of(
-    middle: Middle, found: OutlineSearch, stations: Stations, view: View, shift: Array, scale: float
+    middle: Middle, found: OutlineSearch, stations: flanks.Stations, view: View, shift: Array, scale: float
 ) -> OutlineTrack:
     """Points of the centreline, each the mean of the stations about it, in pictures that lie `shift` (T, 2) px off the
     view's; `scale` px/m."""
@@ -617,10 +589,10 @@ def points_of(
         off = stations.across(predicted) @ (middle.state[t] - found.state[t])
         xy = predicted.xy + off[:, None] * predicted.normal
         at = [np.interp(s, stations.s, values) for values in (*xy.T, smooth.angle)]
-        tangent = np.stack([np.cos(at[2]), np.sin(at[2])], axis=1)
-        there = np.stack(at[:2], axis=1) + away[t][:, None] * np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
-        px[t] = project(view, there) + shift[t]
-        ahead[t] = project(view, there + 0.5 / POINTS * stations.length * tangent) + shift[t]
+        tangent = unit(at[2])
+        there = np.stack(at[:2], axis=1) + away[t][:, None] * left_of(tangent)
+        px[t] = plane.project(view, there) + shift[t]
+        ahead[t] = plane.project(view, there + 0.5 / POINTS * stations.length * tangent) + shift[t]
     return OutlineTrack(s, px, ahead, sd)
 
 

@@ -18,35 +18,13 @@ from scipy.interpolate import PchipInterpolator
 
 from onebend.errors import ObservationError, RecordingError
 from onebend.progress import Progress, Silent, track
-from onebend.recording.beam_frame import MOUNTING_SD, to_beam_frame
-from onebend.recording.camera import measure_tags, points_in_plane
+from onebend.recording import beam_frame, camera, flanks, signals, tables, tag_finder, video
 from onebend.recording.entries import Recording
-from onebend.recording.flanks import (
-    MEASURED,
-    PAPER,
-    STATES,
-    STEP,
-    BodyPlace,
-    Curve,
-    OutlinedBody,
-    Planes,
-    Sight,
-    Stations,
-    edge_size,
-    find_flanks,
-    first_width,
-    grown,
-    refined,
-)
 from onebend.recording.outline import PLACES, POINTS, STATION, OutlineSearch, centreline, points_of, refuse_lost
 from onebend.recording.plane import lay_square, project, to_plane, view_of
 from onebend.recording.poses import ERROR_LENGTH, GUESSED_SD, PoseLoads, PosePoints, read_loads, static
-from onebend.recording.signals import nan_median
-from onebend.recording.tables import read_columns
-from onebend.recording.tag_finder import Finder
 from onebend.recording.tags import track_block
 from onebend.recording.tracks import chord_angles
-from onebend.recording.video import FilmFrame
 from onebend.records import (
     POINT_ID,
     Array,
@@ -108,11 +86,11 @@ def detect_in_photos(rec: Recording, names: tuple[str, ...], progress: Progress 
     """Corners of the tags in every picture, in the order of `names`."""
     assert rec.photos is not None
     ids = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
-    finder, base = Finder(rec.tags.family), len(rec.tags.on_base)
+    finder, base = tag_finder.Finder(rec.tags.family), len(rec.tags.on_base)
     corners, sizes, remarks = [], [], []
     for i, name in track(progress, "Finding the tags", list(enumerate(names)), len(names)):
         picture = np.asarray(read_photo(rec, name).convert("L"))
-        block = track_block([FilmFrame(i, float(i), picture)], ids, finder)
+        block = track_block([video.FilmFrame(i, float(i), picture)], ids, finder)
         is_found = np.isfinite(block.corners[0]).all(axis=(1, 2))
         if block.doubles:
             raise ObservationError(f"{name}: tag {block.doubles[0][1]} is in the picture twice. Cover one of them.")
@@ -170,12 +148,13 @@ def measured(
     found = []
     for part in parts:
         some = replace(detections, time=detections.time[part], corners=detections.corners[part])
-        tags = measure_tags(some, rec)
+        tags = camera.measure_tags(some, rec)
         one = tags.markers()
         if trace is not None:
             views = zip(range(count)[part], base_views(rec, one, some.corners[:, 0]), strict=True)
             one = tags.markers(joined([trace(i, view) for i, view in views]))
-        found.append(with_camera_as_noise(one))
+        # These fits have no unknowns of the camera: the doubt about it goes into every picture's covariance.
+        found.append(replace(one, covariance=covariance_with_camera(one), by_camera=None))
     remarks = {remark.text: remark for one in found for remark in one.remarks}.values()
     return replace(
         found[0],
@@ -197,11 +176,6 @@ def base_views(rec: Recording, markers: Markers, corners: Array) -> list[View]:
     return [view_of(markers.view, *one) for one in zip(xy, angle.tolist(), strict=True)]
 
 
-def with_camera_as_noise(markers: Markers) -> Markers:
-    """The doubt about camera and plane in every picture's covariance, for fits that have no unknowns of the camera."""
-    return replace(markers, covariance=covariance_with_camera(markers), by_camera=None)
-
-
 def in_beam_frame(rec: Recording, markers: Markers, loads: PoseLoads) -> tuple[Markers, float, tuple[Remark, ...]]:
     """The markers with x along the bare beam, else along the base tag; and that direction's sd, rad (NaN: not
     stated)."""
@@ -212,12 +186,12 @@ def in_beam_frame(rec: Recording, markers: Markers, loads: PoseLoads) -> tuple[M
         bare &= ~np.any(loads.others.force != 0.0, axis=(1, 2)) & ~np.any(loads.others.moment != 0.0, axis=1)
     bare &= ~np.any(loads.gravity != 0.0, axis=1)
     if bare.any():
-        turned, _, remarks = to_beam_frame(markers, bare, rec.tags.placement_sd, loads.gravity)
+        turned, _, remarks = beam_frame.to_beam_frame(markers, bare, rec.tags.placement_sd, loads.gravity)
         reach = rec.beam.length * float(np.linalg.norm(markers.s))
         # As for a film that shows the beam at rest.
-        from_rest = 2.0 * rec.tags.placement_sd / reach if reach > 0.0 else MOUNTING_SD
+        from_rest = 2.0 * rec.tags.placement_sd / reach if reach > 0.0 else beam_frame.MOUNTING_SD
         return turned, stated if math.isfinite(stated) else from_rest, remarks
-    clamp_sd = stated if math.isfinite(stated) else MOUNTING_SD
+    clamp_sd = stated if math.isfinite(stated) else beam_frame.MOUNTING_SD
     turn = f"{math.degrees(clamp_sd):.2g} deg (sd)"
     text = f"No picture shows the bare beam: x is along the base tag, which may be turned by {turn}."
     return markers, clamp_sd, (Remark("note", text),)
@@ -248,7 +222,7 @@ def read_clicks(rec: Recording, names: tuple[str, ...]) -> tuple[Clicks, ...]:
     """The clicks in every picture."""
     assert rec.photos is not None
     assert rec.photos.clicks is not None
-    table = read_columns(
+    table = tables.read_columns(
         rec.photos.clicks, ("x_px", "y_px"), ("s",), labels=("pose",), kind="table of clicks", strict=True
     )
     s, px = table.get("s"), np.stack([table.get("x_px"), table.get("y_px")], axis=1)
@@ -325,8 +299,8 @@ def _by_length(rec: Recording, loads: PoseLoads, clicks: tuple[Clicks, ...], pro
         body = found_by_length(rec, name, clicks[i], float(loads.clamp[i]))
         views.append(smaller_view(body.sight.view, 1.0 / body.smaller))
         tracks.append(track_in(body))
-        found.append(points_in_plane(views[-1], tracks[-1]))
-    clamp_sd = rec.photos.clamp_sd if math.isfinite(rec.photos.clamp_sd) else MOUNTING_SD
+        found.append(camera.points_in_plane(views[-1], tracks[-1]))
+    clamp_sd = rec.photos.clamp_sd if math.isfinite(rec.photos.clamp_sd) else beam_frame.MOUNTING_SD
     turn = f"{math.degrees(clamp_sd):.2g} deg (sd)"
     text = f"The body's length gives the scale. The pictures are taken as level, and the clamp as written, to {turn}."
     points = PosePoints(
@@ -344,10 +318,10 @@ def _by_length(rec: Recording, loads: PoseLoads, clicks: tuple[Clicks, ...], pro
     return points, tuple(tracks)
 
 
-def planes_in(image: Image.Image, smaller: int) -> Planes:
+def planes_in(image: Image.Image, smaller: int) -> flanks.Planes:
     """Brightness and colours of a picture, so many times smaller."""
     luma, blue, red = (np.asarray(one) for one in image.convert("YCbCr").reduce(smaller).split())
-    return Planes(luma, np.stack([blue, red]), left=False)
+    return flanks.Planes(luma, np.stack([blue, red]), left=False)
 
 
 @dataclass(frozen=True)
@@ -355,11 +329,11 @@ class FoundBody:
     """The body in one picture."""
 
     name: str  # of the picture
-    sight: Sight  # of the picture made smaller
+    sight: flanks.Sight  # of the picture made smaller
     smaller: int  # so many times
-    stations: Stations
+    stations: flanks.Stations
     shown: BoolArray  # (M,) which of them lie where the body was clicked
-    body: OutlinedBody
+    body: flanks.OutlinedBody
 
 
 def smaller_view(view: View, times: float) -> View:
@@ -383,13 +357,13 @@ def found_in(rec: Recording, picture: str, image: Image.Image, view: View, click
     length = rec.beam.length
     long = float(np.linalg.norm(np.diff(project(view, np.array([[0.0, 0.0], [length, 0.0]])), axis=0)))
     smaller = max(1, int(long / LONGEST))
-    sight = Sight(planes_in(image, smaller), smaller_view(view, smaller), np.zeros(2))
-    stations = Stations(length, max(2 * POINTS, math.ceil(long / smaller / STATION)))
+    sight = flanks.Sight(planes_in(image, smaller), smaller_view(view, smaller), np.zeros(2))
+    stations = flanks.Stations(length, max(2 * POINTS, math.ceil(long / smaller / STATION)))
     s, name, width = stations.s, f"{rec.name}: {picture}", math.nan if rec.outline is None else rec.outline.width
     if clicks is None:
-        hidden = s < rec.tags.on_base[0].s + PAPER * rec.tags.size / length
-        place = BodyPlace(name, sight.view, stations, hidden, width)
-        return FoundBody(name, sight, smaller, stations, ~hidden, grown(sight, place))
+        hidden = s < rec.tags.on_base[0].s + flanks.PAPER * rec.tags.size / length
+        place = flanks.BodyPlace(name, sight.view, stations, hidden, width)
+        return FoundBody(name, sight, smaller, stations, ~hidden, flanks.grown(sight, place))
     end = STATION * smaller / long  # an edge that ends there is none
     shown = (s > end) & (s < clicks.s - end)
     state = through(stations, to_plane(view, clicks.px), clicks.s)
@@ -419,7 +393,7 @@ def found_by_length(rec: Recording, picture: str, clicks: Clicks, clamp: float) 
     return found
 
 
-def through(stations: Stations, points: Array, last: float) -> Array:
+def through(stations: flanks.Stations, points: Array, last: float) -> Array:
     """(1 + K,) numbers of a smooth curve through points (n, 2) m, the last of them at s = `last`."""
     t = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     line = PchipInterpolator(t, points)
@@ -429,10 +403,10 @@ def through(stations: Stations, points: Array, last: float) -> Array:
     angle = np.interp(stations.s, last * way / way[-1], np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0])))
     sd = CLICKED * stations.length / stations.count  # rad
     rows = np.vstack([stations.functions / sd, np.diag(1.0 / stations.prior[1:])])
-    return np.append(0.0, np.linalg.lstsq(rows, np.append(angle / sd, np.zeros(STATES)), rcond=None)[0])
+    return np.append(0.0, np.linalg.lstsq(rows, np.append(angle / sd, np.zeros(flanks.STATES)), rcond=None)[0])
 
 
-def feet_on(curve: Curve, stations: Stations, points: Array) -> tuple[Array, Array]:
+def feet_on(curve: flanks.Curve, stations: flanks.Stations, points: Array) -> tuple[Array, Array]:
     """(n,) places s and (n, 2) m on the curve that are nearest to points (n, 2); beyond its ends straight on."""
     nearest = np.argmin(np.linalg.norm(points[:, None] - curve.xy, axis=2), axis=1)
     tangent = np.stack([np.cos(curve.angle), np.sin(curve.angle)], axis=1)[nearest]
@@ -440,7 +414,9 @@ def feet_on(curve: Curve, stations: Stations, points: Array) -> tuple[Array, Arr
     return stations.s[nearest] + on / stations.length, curve.xy[nearest] + on[:, None] * tangent
 
 
-def caught(sight: Sight, stations: Stations, state: Array, shown: BoolArray, clicks: Clicks, smaller: int) -> Array:
+def caught(
+    sight: flanks.Sight, stations: flanks.Stations, state: Array, shown: BoolArray, clicks: Clicks, smaller: int
+) -> Array:
     """(1 + K,) numbers of a curve nearer to the middle of what has the colour of the clicked pixels, where the clicks
     are few and the curve through them leaves the body between them."""
     px = (clicks.px + 0.5) / smaller - 0.5
@@ -453,7 +429,9 @@ def caught(sight: Sight, stations: Stations, state: Array, shown: BoolArray, cli
         places, _ = feet_on(curve, stations, to_plane(sight.view, px))
         own = np.stack([np.interp(stations.s, np.maximum.accumulate(places), one) for one in colours.T], axis=1)
         normal, scale = sight.outward(curve)
-        out = np.arange(-REACHED, REACHED, STEP / float(np.median(scale) * stations.length)) * stations.length  # m
+        out = (
+            np.arange(-REACHED, REACHED, flanks.STEP / float(np.median(scale) * stations.length)) * stations.length
+        )  # m
         seen = sight.planes.at(sight.pixels(curve.xy)[:, None] + (out * scale[:, None])[..., None] * normal[:, None])
         unlike = np.linalg.norm(seen - own[:, None], axis=-1)
         like = unlike < SIMILAR * np.nan_to_num(np.nanquantile(unlike, 0.8, axis=1))[:, None]
@@ -474,7 +452,9 @@ def _nearest_run(like: BoolArray, out: Array) -> float:
     return float(0.5 * (first[nearest] + last[nearest]))
 
 
-def along(sight: Sight, stations: Stations, state: Array, shown: BoolArray, width: float) -> OutlinedBody | None:
+def along(
+    sight: flanks.Sight, stations: flanks.Stations, state: Array, shown: BoolArray, width: float
+) -> flanks.OutlinedBody | None:
     """The body along the curve of `state` where it is `shown` (M,), `width` m near the clamp (NaN: unknown); None where
     no two edges run along it."""
     pieces = np.array_split(np.flatnonzero(shown), PIECES)
@@ -488,9 +468,9 @@ def along(sight: Sight, stations: Stations, state: Array, shown: BoolArray, widt
     for _ in range(ROUNDS):
         curve = stations.curve(state)
         parts = (np.isin(np.arange(stations.count), piece) for piece in pieces)
-        sides = np.stack([first_width(sight, curve, part, stations.length) for part in parts])
+        sides = np.stack([flanks.first_width(sight, curve, part, stations.length) for part in parts])
         wide = sides.sum(axis=1)
-        usual = float(nan_median(wide)) if math.isnan(width) else width
+        usual = float(signals.nan_median(wide)) if math.isnan(width) else width
         well = np.abs(wide - usual) < ALIKE * usual
         if not well.any():
             break
@@ -500,10 +480,10 @@ def along(sight: Sight, stations: Stations, state: Array, shown: BoolArray, widt
         if strays(new):
             break
         state = new
-    step = edge_size(sight, stations.curve(state), half, shown) if np.isfinite(half).all() else 0.0
-    body = refined(sight, stations, state, half, shown, step)
+    step = flanks.edge_size(sight, stations.curve(state), half, shown) if np.isfinite(half).all() else 0.0
+    body = flanks.refined(sight, stations, state, half, shown, step)
     for _ in range(ROUNDS):
-        body = None if body is None else refined(sight, stations, body.state, body.half, shown, step)
+        body = None if body is None else flanks.refined(sight, stations, body.state, body.half, shown, step)
     return None if body is None or strays(body.state) else body
 
 
@@ -512,9 +492,9 @@ def track_in(found: FoundBody) -> OutlineTrack:
     sight, stations, body = found.sight, found.stations, found.body
     curve = stations.curve(body.state)
     scale = float(np.median(sight.outward(curve)[1]))
-    away = np.where(found.shown, find_flanks(sight, curve, body.half, body.look), np.nan)
+    away = np.where(found.shown, flanks.find_flanks(sight, curve, body.half, body.look), np.nan)
     search = OutlineSearch(body.state[None], away[None])
-    middle = centreline(search, stations, body.half, MEASURED / scale)
+    middle = centreline(search, stations, body.half, flanks.MEASURED / scale)
     refuse_lost(middle, search, found.shown, found.name)
     track = points_of(middle, search, stations, sight.view, sight.shift[None], scale)
     times = found.smaller

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from onebend.errors import ObservationError
 from onebend.recording.entries import CameraEntry
-from onebend.records import Array, BoolArray, IntArray, View
+from onebend.records import Array, BoolArray, IntArray, View, rotated
 
 
 def project(view: View, points: Array) -> Array:
@@ -314,12 +314,6 @@ def square(xy: Array, angle: Array, size: float) -> Array:
     half = size / 2
     own = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
     return rotated(own, angle[..., None]) + xy[..., None, :]
-
-
-def rotated(xy: Array, angle: Array) -> Array:
-    """Vectors `xy` (..., 2) turned counter-clockwise by `angle` (...) [rad]."""
-    cos, sin, x, y = np.cos(angle), np.sin(angle), xy[..., 0], xy[..., 1]
-    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
 
 
 def lay_square(flat: Array) -> tuple[Array, Array]:

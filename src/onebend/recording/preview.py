@@ -11,10 +11,7 @@ import numpy as np
 
 from onebend.errors import OnebendError, told
 from onebend.progress import available_cores
-from onebend.recording.camera import measure_tags, with_checked_turns
-from onebend.recording.entries import Recording, VideoEntry
-from onebend.recording.outline import with_outline
-from onebend.recording.tag_finder import Finder, Sighting
+from onebend.recording import camera, entries, outline, tag_finder
 from onebend.recording.tags import refuse_doubles, refuse_unseen, sure_doubles, take, unseen_remarks
 from onebend.recording.tool import ToolPlace, not_seen, tool_in, tool_remarks
 from onebend.recording.video import FilmFrame, picture_in, timed
@@ -32,7 +29,7 @@ class Preview:
     frames: int  # that were read
     whole: bool  # whether these are all
     looked: tuple[FilmFrame, ...]  # the frames that were searched
-    sightings: tuple[tuple[Sighting, ...], ...]  # in each of these
+    sightings: tuple[tuple[tag_finder.Sighting, ...], ...]  # in each of these
     markers: Markers | None  # from the sightings; None where they make none
     remarks: tuple[Remark, ...]
     fault: str  # what would end the reading of the film; "" where nothing does
@@ -62,7 +59,7 @@ def bent(markers: Markers) -> BoolArray:
     return np.asarray(away > 0.05 * float(away.max()))
 
 
-def look_at(rec: Recording, *, count: int = LOOKS) -> Preview:
+def look_at(rec: entries.Recording, *, count: int = LOOKS) -> Preview:
     """Read the film (or its first `MOST_READ` frames), and look for tags in `count` frames spread evenly over it."""
     assert rec.video is not None
     looked, frames, whole = spread_frames(rec.video, count)
@@ -83,11 +80,11 @@ def look_at(rec: Recording, *, count: int = LOOKS) -> Preview:
         remarks += unseen_remarks(ids, share, len(looked))
         time = np.array([frame.time for frame in looked])
         detections = Detections(time, np.array(ids), corners, width, height, ())
-        tags = measure_tags(detections, rec)
-        markers = with_checked_turns(tags.markers(), rec)
+        tags = camera.measure_tags(detections, rec)
+        markers = camera.with_checked_turns(tags.markers(), rec)
         if rec.traces_outline and markers.view is not None:
             numbers = np.array([frame.index for frame in looked])
-            markers = with_outline(tags, markers, numbers, apart=True)
+            markers = outline.with_outline(tags, markers, numbers, apart=True)
         few = of_markers(markers, read_before_fit(markers))
         tool = tool_in([frame.luma for frame in looked], rec, few, bent(few))
         remarks += tool_remarks(tool, rec)
@@ -96,7 +93,7 @@ def look_at(rec: Recording, *, count: int = LOOKS) -> Preview:
     return Preview(frames, whole, tuple(looked), sightings, markers, tuple(remarks), fault, tool)
 
 
-def spread_frames(video: VideoEntry, count: int) -> tuple[list[FilmFrame], int, bool]:
+def spread_frames(video: entries.VideoEntry, count: int) -> tuple[list[FilmFrame], int, bool]:
     """About `count` frames spread evenly over the film, how many it has, and whether it was read to its end."""
     kept: list[FilmFrame] = []
     step, read = 1, 0
@@ -112,13 +109,13 @@ def spread_frames(video: VideoEntry, count: int) -> tuple[list[FilmFrame], int, 
     return [kept[i] for i in chosen], read, read < MOST_READ
 
 
-def search(frames: Sequence[FilmFrame], family: str, ids: Sequence[int]) -> tuple[tuple[Sighting, ...], ...]:
+def search(frames: Sequence[FilmFrame], family: str, ids: Sequence[int]) -> tuple[tuple[tag_finder.Sighting, ...], ...]:
     """Every tag of the family in each frame; those of `ids` also where they are small."""
     threads = min(available_cores(), len(frames))
     parts = [frames[i::threads] for i in range(threads)]
 
-    def look(part: Sequence[FilmFrame]) -> list[tuple[Sighting, ...]]:
-        finder = Finder(family)
+    def look(part: Sequence[FilmFrame]) -> list[tuple[tag_finder.Sighting, ...]]:
+        finder = tag_finder.Finder(family)
         return [tuple(finder.look(frame.luma, ids)) for frame in part]
 
     with ThreadPoolExecutor(threads) as pool:

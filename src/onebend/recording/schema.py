@@ -105,12 +105,13 @@ def one_of(*choices: str) -> Check:
     return check
 
 
-def several(item: Check, *counts: int) -> Check:
-    """A list with one of the given numbers of entries, each passing `item`; kept as a tuple."""
+def several(item: Check, *counts: int, least: int = 0) -> Check:
+    """A list with one of the given numbers of entries (or `least` numbers), each passing `item`; kept as a tuple."""
+    wanted = f"at least {least} numbers" if least else f"{' or '.join(map(str, counts))} entries"
 
     def check(value: Any) -> tuple[Any, ...]:
-        if not isinstance(value, list) or len(value) not in counts:
-            raise ValueError("a list of " + " or ".join(str(count) for count in counts) + " entries")
+        if not isinstance(value, list) or (len(value) < least if least else len(value) not in counts):
+            raise ValueError(f"a list of {wanted}")
         try:
             return tuple(item(entry) for entry in value)
         except ValueError as wrong:

@@ -7,7 +7,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import median_filter, percentile_filter, uniform_filter1d
 
 from onebend.errors import RecordingError
-from onebend.records import Array, BoolArray, IntArray, Remark
+from onebend.records import Array, BoolArray, IntArray, Remark, unit
 
 LATEST = 1e11  # s: no clock of a recording, since 1970 or since it was started, says more
 MOST_STEPS = 5e7  # of a log: half a day at 1 kHz
@@ -53,6 +53,13 @@ def from_clamp(s: Array, xy: Array, angle: Array) -> tuple[Array, Array, Array]:
     xy = np.concatenate([np.zeros((count, 1, 2)), xy], axis=1)
     angle = np.concatenate([np.zeros((count, 1)), angle], axis=1)
     return np.append(0.0, s)[order], xy[:, order], angle[:, order]
+
+
+def along_tags(s: Array, xy: Array, angle: Array, length: float) -> CubicHermiteSpline:
+    """The beam's axis from clamp and tags, s (m,), (m, 2) m, (m,) rad: a cubic with their directions."""
+    at, (places,), (angles,) = from_clamp(s, xy[None], angle[None])
+    at, first = np.unique(at, return_index=True)
+    return CubicHermiteSpline(at, places[first], length * unit(angles[first]))
 
 
 def bandwidth(time: Array, values: Array, fraction: float = 0.999) -> float:
@@ -364,9 +371,8 @@ def nan_median(values: Array, axis: int = 0) -> Array:
     return np.where(known, np.nanmedian(np.where(np.expand_dims(known, axis), values, 0.0), axis=axis), np.nan)
 
 
-def nan_mean(values: Array) -> Array:
-    """Mean over the first axis of what is there; NaN where nothing is."""
+def nan_mean(values: Array, axis: int = 0) -> Array:
+    """Mean of what is there; NaN where nothing is."""
     known = np.isfinite(values)
-    count = known.sum(axis=0)
-    total = np.where(known, values, 0.0).sum(axis=0)
+    count, total = known.sum(axis=axis), np.where(known, values, 0.0).sum(axis=axis)
     return np.asarray(np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0))

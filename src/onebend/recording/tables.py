@@ -73,12 +73,8 @@ def read_columns(
 def read_every_column(path: Path, needed: str, *, kind: str = "table") -> Columns:
     """All columns that hold nothing but numbers and empty cells; `needed` must be one of them."""
     cells, _ = _csv(path)
-    good = [name for name, column in cells.items() if all(_is_number(one) or _is_empty(one) for one in column)]
-    return read_columns(path, (needed,), [name for name in good if name != needed], kind=kind)
-
-
-def _is_empty(cell: str) -> bool:
-    return cell.strip().lower() in EMPTY
+    numbers = {name: all(_is_number(one) or one.strip().lower() in EMPTY for one in cells[name]) for name in cells}
+    return read_columns(path, (needed,), [name for name in cells if numbers[name] and name != needed], kind=kind)
 
 
 def _refuse_others(path: Path, cells: dict[str, list[str]], known: Sequence[str], kind: str) -> None:

@@ -15,21 +15,9 @@ import numpy as np
 
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, available_cores, track
+from onebend.recording import tag_finder
 from onebend.recording.entries import FAMILIES, TagsEntry, VideoEntry
-from onebend.recording.plane import rotated
 from onebend.recording.signals import copies_in_motion, runs
-from onebend.recording.tag_finder import (
-    MOST_SHIFT,
-    NEAR,
-    STILL,
-    Finder,
-    Sighting,
-    correct_still,
-    fit_pattern,
-    margin_of,
-    part_around,
-    side_of,
-)
 from onebend.recording.video import (
     MOST_PIXELS,
     FilmFrame,
@@ -40,12 +28,12 @@ from onebend.recording.video import (
     rate_remarks,
     read_frames,
 )
-from onebend.records import Array, BoolArray, Detections, IntArray, Remark
+from onebend.records import Array, BoolArray, Detections, IntArray, Remark, rotated
 
 LOOK_EVERY = 8  # frames: how often the whole picture is searched for a tag that was lost
 MOST_STEP = LOOK_EVERY // 2  # frames between searched ones: at two of them a tag must be seen to be predicted
 WIDE = 1.5  # margin around a tag's predicted place where `NEAR` found none, in tag sizes
-EachTag = Callable[[Callable[[Finder, int], None], int], object]  # does `work(finder, i)` for every i below a count
+EachTag = Callable[[Callable[[tag_finder.Finder, int], None], int], object]  # `work(finder, i)` for i below a count
 
 
 @dataclass(frozen=True)
@@ -64,7 +52,7 @@ class BlockTracks:
 def track_block(
     frames: Sequence[FilmFrame],
     tag_id: Sequence[int],
-    finder: Finder,
+    finder: tag_finder.Finder,
     *,
     before: Array | None = None,
     look: bool = True,
@@ -90,7 +78,7 @@ def track_block(
     number = np.arange(len(tracks)) - known + frames[0].index
 
     def followed(rows: Sequence[int], side: int) -> None:
-        def one(searching: Finder, i: int) -> None:
+        def one(searching: tag_finder.Finder, i: int) -> None:
             own = slice(i, i + 1)
             for t in rows:
                 follow(tracks[:, own], evenly, t, side, frames[t - known].luma, tag_id[own], searching)
@@ -120,7 +108,7 @@ def track_block(
         followed(more, 1)
         searched[more] = True
         step //= 2
-    tracks = correct_still(frames, tracks[known:], finder.cells)
+    tracks = tag_finder.correct_still(frames, tracks[known:], finder.cells)
     height, width = frames[0].luma.shape
     times = np.array([frame.time for frame in frames])
     return BlockTracks(times, tracks, searched[known:], (height, width), looks, tuple(strangers), tuple(doubles))
@@ -150,15 +138,15 @@ def uneven(tracks: Array, searched: BoolArray, phase: IntArray, step: int) -> In
 
 
 def follow(
-    tracks: Array, time: Array, t: int, step: int, picture: Picture, tag_id: Sequence[int], finder: Finder
+    tracks: Array, time: Array, t: int, step: int, picture: Picture, tag_id: Sequence[int], finder: tag_finder.Finder
 ) -> None:
     """Seek in frame `t` every tag not yet found, where its sightings on one side (-1 past, 1 future) predict it."""
     for i in np.flatnonzero(np.isnan(tracks[t]).any(axis=(1, 2))).tolist():
         expected, move = predict(tracks[:, i], time, t, step)
         if expected is None:
             continue
-        for margin in (NEAR, WIDE):
-            sightings = finder.look_around(picture, expected, margin_of(expected, margin) + margin * move)
+        for margin in (tag_finder.NEAR, WIDE):
+            sightings = finder.look_around(picture, expected, tag_finder.margin_of(expected, margin) + margin * move)
             take(tracks[t, i : i + 1], sightings, tag_id[i : i + 1])
             if not np.isnan(tracks[t, i]).any():
                 break
@@ -179,14 +167,14 @@ def predict(track: Array, time: Array, t: int, step: int) -> tuple[Array | None,
     return nearest + shift, float(np.abs(shift).max())
 
 
-def take(row: Array, sightings: Sequence[Sighting], tag_id: Sequence[int]) -> None:
+def take(row: Array, sightings: Sequence[tag_finder.Sighting], tag_id: Sequence[int]) -> None:
     """Put the most certain sighting of each id into `row` (m, 4, 2), where it has none yet."""
     for i, wanted in enumerate(tag_id):
         if np.isnan(row[i]).any():
             row[i] = next((tag.corners for tag in sightings if tag.tag_id == wanted), np.nan)
 
 
-def sure_doubles(sightings: Sequence[Sighting]) -> list[int]:
+def sure_doubles(sightings: Sequence[tag_finder.Sighting]) -> list[int]:
     """Ids that were read without an error at two places of one picture."""
     certain = [tag.tag_id for tag in sightings if tag.errors == 0]
     return sorted({tag for tag in certain if certain.count(tag) > 1})
@@ -239,11 +227,11 @@ class StillTags:
     def _with(self, i: int, picture: Picture, corners: Array, time: float) -> _Window:
         """The window of tag `i`, this picture added; a new one where the tag has moved."""
         window = self.windows.get(i)
-        if window is not None and np.abs(corners - window.corners / window.count).max() > STILL:
+        if window is not None and np.abs(corners - window.corners / window.count).max() > tag_finder.STILL:
             self.shifts.pop(i, None)
             window = None
         if window is None or window.count >= FITS[-1]:
-            part = part_around(corners, picture.shape)
+            part = tag_finder.part_around(corners, picture.shape)
             shape = tuple(one.stop - one.start for one in part)
             fitted = 0 if window is None else FITS[-2]
             window = self.windows[i] = _Window(time, part, np.zeros(shape), np.zeros((4, 2)), 0, fitted)
@@ -257,9 +245,9 @@ class StillTags:
         assert self.cells is not None
         window = self.windows[i]
         mean, corner = window.corners / window.count, [window.part[1].start, window.part[0].start]
-        fitted = fit_pattern(window.grey / window.count, mean - corner, self.cells)
+        fitted = tag_finder.fit_pattern(window.grey / window.count, mean - corner, self.cells)
         self.shifts.pop(i, None)
-        if fitted is not None and np.abs(fitted + corner - mean).max() <= MOST_SHIFT:
+        if fitted is not None and np.abs(fitted + corner - mean).max() <= tag_finder.MOST_SHIFT:
             self.shifts[i] = fitted + corner - mean
         window.fitted = window.count
 
@@ -316,12 +304,12 @@ def detect_tags(
     """
     tag_id = [tag.id for tag in (*tags.on_base, *tags.on_beam)]
     threads = threads or min(available_cores(), MOST_THREADS)
-    first, finders = Finder(tags.family), SimpleQueue[Finder]()
+    first, finders = tag_finder.Finder(tags.family), SimpleQueue[tag_finder.Finder]()
     # Two tags for each detector: a further one takes 20 MB.
-    for finder in (first, *(Finder(tags.family) for _ in range(min(threads, len(tag_id) // 2) - 1))):
+    for finder in (first, *(tag_finder.Finder(tags.family) for _ in range(min(threads, len(tag_id) // 2) - 1))):
         finders.put(finder)
 
-    def each(work: Callable[[Finder, int], None], count: int) -> None:
+    def each(work: Callable[[tag_finder.Finder, int], None], count: int) -> None:
         def one(i: int) -> None:
             finder = finders.get()
             try:
@@ -470,7 +458,7 @@ def what_is_there(
     wanted = sorted(set(np.linspace(0, (len(pictures) or frames) - 1, 5).astype(int).tolist()))
     pictures = [pictures[i] for i in wanted] if pictures else [picture for _, picture in pictures_at(video, wanted)]
     for family in (one for one in FAMILIES if one != tags.family):
-        finder = Finder(family)
+        finder = tag_finder.Finder(family)
         found = {tag.tag_id for picture in pictures for tag in finder.look(picture) if tag.errors == 0}
         if found:
             ids = ", ".join(map(str, sorted(found)))
@@ -536,7 +524,7 @@ class Tracker:
     def __init__(self, tag_id: Sequence[int], family: str = "tag36h11") -> None:
         """A tracker that has seen nothing of the tags `tag_id` (m,) of one AprilTag family."""
         self.tag_id = tuple(tag_id)
-        self._finder = Finder(family)
+        self._finder = tag_finder.Finder(family)
         self._still = StillTags(self._finder.cells)
         self._rows: list[tuple[float, Array]] = []  # time and corners as detected, in order of time
         m = len(self.tag_id)
@@ -572,7 +560,7 @@ class Tracker:
             tracks[k + (k >= t)] = corners
         for side in (-1, 1):
             follow(tracks, times, t, side, picture, self.tag_id, self._finder)
-        sightings: list[Sighting] | None = None
+        sightings: list[tag_finder.Sighting] | None = None
         if newest and np.isnan(tracks).any(axis=(2, 3)).all(axis=0).any():
             sightings = self._look(picture, tracks[t])
             take(tracks[t], sightings or [], self.tag_id)
@@ -614,7 +602,7 @@ class Tracker:
             raise ObservationError(f"a picture of {time:.6f} s is too late: {LOOK_EVERY} later ones were given")
         self._shape = (picture.shape[0], picture.shape[1])
 
-    def _look(self, picture: Picture, row: Array) -> list[Sighting] | None:
+    def _look(self, picture: Picture, row: Array) -> list[tag_finder.Sighting] | None:
         """Sightings in a part of the picture (in all of it where no tag was seen lately); None where not searched."""
         seen = np.isfinite(row).all(axis=(1, 2))
         lately = np.any([np.isfinite(corners).all(axis=(1, 2)) for _, corners in self._rows] or [~seen & seen], axis=0)
@@ -626,10 +614,10 @@ class Tracker:
         i = lost[self._turn // 2 % len(lost)]
         expected = _moved_along(self._last[i], row, i)
         if self._turn % 2 and expected is not None:
-            return self._finder.look_around(picture, expected, margin_of(expected, WIDE))
+            return self._finder.look_around(picture, expected, tag_finder.margin_of(expected, WIDE))
         own = np.diagonal(self._last, axis1=0, axis2=1).transpose(2, 0, 1)  # (m, 4, 2)
         known = np.isfinite(own).all(axis=(1, 2))
-        side = max(side_of(corners) for corners in own[known])
+        side = max(tag_finder.side_of(corners) for corners in own[known])
         places = _places(picture.shape)
         last = own[i] if expected is None and known[i] else own[known][0] if expected is None else expected
         order = np.argsort(np.linalg.norm(places - last.mean(axis=0), axis=1), kind="stable")

@@ -10,12 +10,11 @@ from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import binary_closing, map_coordinates, uniform_filter
 
 from onebend.recording.entries import Recording
 from onebend.recording.plane import camera_place, project
-from onebend.recording.signals import MAD_TO_SD, from_clamp
+from onebend.recording.signals import MAD_TO_SD, along_tags, runs
 from onebend.recording.tool_edges import ToolStrip, contacts
 from onebend.recording.video import KeptFrames, Picture, pictures_at
 from onebend.records import (
@@ -108,11 +107,8 @@ def axes_of(markers: Markers, rows: Sequence[int], grid: SideGrid) -> tuple[Arra
     tangent = np.full_like(centre, np.nan)
     for at, row in enumerate(rows):
         seen = np.isfinite(markers.xy[row]).all(axis=-1) & np.isfinite(markers.angle[row])
-        s, (xy,), (angle,) = from_clamp(markers.s[seen], markers.xy[None, row, seen], markers.angle[None, row, seen])
-        s, first = np.unique(s, return_index=True)
-        slopes = grid.length * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        axis = CubicHermiteSpline(s, xy[first], slopes[first])
-        inside = np.clip(grid.s, s[0], s[-1])
+        axis = along_tags(markers.s[seen], markers.xy[row, seen], markers.angle[row, seen], grid.length)
+        inside = np.clip(grid.s, axis.x[0], axis.x[-1])
         along = axis(inside, 1)
         tangent[at] = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
         centre[at] = axis(inside) + (grid.s - inside)[:, None] * grid.length * tangent[at]
@@ -191,7 +187,8 @@ def strips_in(covered: BoolArray, *, left: bool) -> list[Strip]:
     rows = range(covered.shape[1] - 1, middle, -1) if left else range(middle)
     live: list[list[tuple[int, int, int]]] = []
     ended: list[Strip] = []
-    for row, here in zip(rows, runs_in_rows(covered[:, rows].T), strict=True):
+    for row in rows:
+        here = runs(covered[:, row]).tolist()
         taken, going = set[int](), []
         for strip in live:
             _, first, last = strip[-1]
@@ -212,16 +209,6 @@ def strips_in(covered: BoolArray, *, left: bool) -> list[Strip]:
         begun = [[(row, a, b)] for i, (a, b) in enumerate(here) if i not in taken and a > 0 and b < beyond]
         live = [*going, *begun]
     return ended
-
-
-def runs_in_rows(mask: BoolArray) -> list[list[tuple[int, int]]]:
-    """First and one-past-last index of every run of True in each row of `mask` (R, N)."""
-    edges = np.diff(np.pad(mask.astype(np.int8), ((0, 0), (1, 1))), axis=1)
-    (row, first), (_, last) = np.nonzero(edges == 1), np.nonzero(edges == -1)
-    out: list[list[tuple[int, int]]] = [[] for _ in mask]
-    for at, a, b in zip(row.tolist(), first.tolist(), last.tolist(), strict=True):
-        out[at].append((a, b))
-    return out
 
 
 def _meeting(strip: Strip, grid: SideGrid) -> Meeting:

@@ -12,14 +12,8 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from onebend.errors import ObservationError, RecordingError
-from onebend.recording import signals
-from onebend.recording.camera import MOVED, RUNNING, lengths_apart, order_hint, unwrap
+from onebend.recording import camera, force, outline, signals, stated, tables
 from onebend.recording.entries import FrequencyEntry, GravityEntry, Recording
-from onebend.recording.force import ContactSettings, find_contact
-from onebend.recording.outline import PLACES, POINTS
-from onebend.recording.plane import rotated
-from onebend.recording.stated import stated_in
-from onebend.recording.tables import Columns, read_columns, read_every_column
 from onebend.records import (
     POINT_ID,
     UNKNOWN_ANGLE_SD,
@@ -32,11 +26,12 @@ from onebend.records import (
     Remark,
     Source,
     of_markers,
+    rotated,
 )
 
 # Curves in tables: vertices in their order from the clamp to the tip, whose places along the body nobody measured.
 
-MOST_VERTICES = 2 * POINTS  # between which the curve is bent smoothly; of more, neighbours are averaged first
+MOST_VERTICES = 2 * outline.POINTS  # between which the curve is bent smoothly; of more, neighbours are averaged first
 FINE = 8  # places at which each point is averaged
 TOO_LONG = 1.05  # of the length: a longer curve is of another body, or in another unit
 FEWEST = 4  # vertices of a curve
@@ -52,7 +47,7 @@ class CurvePoints:
     share: Array  # (T,) vertices that each point stands for, at least one
 
 
-def curve_rows(table: Columns, otherwise: str = "") -> BoolArray:
+def curve_rows(table: tables.Columns, otherwise: str = "") -> BoolArray:
     """(N,) rows that are vertices of curves, by their order; checked against those of points, which have an id. There
     must be some where recording.toml names no points, which `otherwise` would do."""
     order, number = np.isfinite(table.get("order")), np.isfinite(table.get("id"))
@@ -69,7 +64,7 @@ def curve_rows(table: Columns, otherwise: str = "") -> BoolArray:
 
 
 def vertices_of(
-    table: Columns, drawn: BoolArray, frame: IntArray, count: int, columns: tuple[str, ...] = ("x_m", "y_m")
+    table: tables.Columns, drawn: BoolArray, frame: IntArray, count: int, columns: tuple[str, ...] = ("x_m", "y_m")
 ) -> Array:
     """(T, n, c) vertices of the curve in each of `count` frames in their order, NaN behind the last; `drawn` (N,) rows
     are vertices, of frame `frame` (N,)."""
@@ -85,7 +80,7 @@ def vertices_of(
     return out
 
 
-def stated_sd(table: Columns, drawn: BoolArray, frame: IntArray, count: int, otherwise: float) -> Array:
+def stated_sd(table: tables.Columns, drawn: BoolArray, frame: IntArray, count: int, otherwise: float) -> Array:
     """(T,) m, one sd of a vertex in each of `count` frames, as sd_m says, or `otherwise`; rows as of `vertices_of`."""
     sd = np.full(count, otherwise)
     said = drawn & np.isfinite(table.get("sd_m"))
@@ -103,7 +98,7 @@ def points_on(vertices: Array, length: float, name: str, origin: Array | None = 
     count = np.sum(np.isfinite(vertices).all(axis=-1), axis=1)
     if np.any((count > 0) & (count < FEWEST)):
         raise ObservationError(f"{name}: a curve of {count[(count > 0)].min()} points. Give {FEWEST} or more.")
-    xy, angle = np.full((len(vertices), POINTS, 2), np.nan), np.full((len(vertices), POINTS), np.nan)
+    xy, angle = np.full((len(vertices), outline.POINTS, 2), np.nan), np.full((len(vertices), outline.POINTS), np.nan)
     for t in np.flatnonzero(count).tolist():
         xy[t], angle[t], end = _resampled(vertices[t, : count[t]], length, origin)
         if end > TOO_LONG:
@@ -112,7 +107,7 @@ def points_on(vertices: Array, length: float, name: str, origin: Array | None = 
                 "y_m in metres, and do the vertices rise from the clamp to the tip? Check length_m.",
                 about="unit",
             )
-    return CurvePoints(xy, angle, np.maximum(count / POINTS, 1.0))
+    return CurvePoints(xy, angle, np.maximum(count / outline.POINTS, 1.0))
 
 
 def _resampled(vertices: Array, length: float, origin: Array | None) -> tuple[Array, Array, float]:
@@ -127,8 +122,8 @@ def _resampled(vertices: Array, length: float, origin: Array | None) -> tuple[Ar
     lost = 0.5 * (len(groups[0]) - 1) / len(groups[0]) * away[1]  # from the first vertex to the first mean
     begin = lost if origin is None else float(np.linalg.norm(middle[0] - origin))
     s = (begin + way) / length
-    asked = ((np.arange(FINE * POINTS) + 0.5) / (FINE * POINTS)).reshape(POINTS, FINE)
-    near = 0.5 / POINTS
+    asked = ((np.arange(FINE * outline.POINTS) + 0.5) / (FINE * outline.POINTS)).reshape(outline.POINTS, FINE)
+    near = 0.5 / outline.POINTS
     inside = np.all((asked >= s[0] - near) & (asked <= s[-1] + near), axis=1)
     at = np.interp(asked, s, fine) + length * (np.minimum(asked - s[0], 0.0) + np.maximum(asked - s[-1], 0.0))
     tangent = line.derivative()(at).mean(axis=1)
@@ -166,7 +161,7 @@ def with_angles(markers: Markers) -> Markers:
         return markers
     rough = chord_angles(markers.xy, markers.s)
     known = np.isfinite(markers.angle).any(axis=0)  # a marker either has angles or has none
-    return replace(markers, angle=np.where(known, markers.angle, unwrap(rough, from_zero=False)))
+    return replace(markers, angle=np.where(known, markers.angle, camera.unwrap(rough, from_zero=False)))
 
 
 def check_angles(xy: Array, s: Array, angle: Array, name: str) -> None:
@@ -182,7 +177,7 @@ def check_angles(xy: Array, s: Array, angle: Array, name: str) -> None:
 
 def angles_per_chord(xy: Array, s: Array, angle: Array) -> float:
     """How far measured angles (T, m) [rad] turn per radian of the places (T, m, 2) [m]: about 1; NaN: nothing bends."""
-    chords = unwrap(chord_angles(xy, s), from_zero=False)
+    chords = camera.unwrap(chord_angles(xy, s), from_zero=False)
     known = np.isfinite(chords) & np.isfinite(angle)
     if not known.any():
         return float("nan")
@@ -285,7 +280,7 @@ class Tracks:
     curve: int = 0  # how many of the m are points of a curve
 
 
-def track_markers(rec: Recording, settings: ContactSettings = ContactSettings()) -> Markers:
+def track_markers(rec: Recording, settings: force.ContactSettings = force.ContactSettings()) -> Markers:
     """Every beam marker of the recording's table, relative to the base."""
     tracks = _without_copies(read_tracks(rec))
     base = len(rec.tags.on_base)
@@ -295,13 +290,13 @@ def track_markers(rec: Recording, settings: ContactSettings = ContactSettings())
     covariance[..., 0, 0] = covariance[..., 1, 1] = tracks.sd[:, base:] ** 2
     tags, curve = rec.tags.on_beam, np.arange(tracks.curve)
     turns = np.array([*(tag.turn for tag in tags), *np.zeros(len(curve))])
-    angle = unwrap(tracks.angle[:, base:] - turn[:, None] - turns)
+    angle = camera.unwrap(tracks.angle[:, base:] - turn[:, None] - turns)
     covariance[..., 2, 2] = _noise(angle, LEAST_ANGLE_SD, UNKNOWN_ANGLE_SD) ** 2
     covariance[~np.isfinite(in_base).all(axis=-1)] = np.nan
     raw = Markers(
         time=tracks.time,
         tag_id=np.array([*(tag.id for tag in tags), *(POINT_ID + curve)]),
-        s=np.array([*(tag.s for tag in tags), *PLACES[curve]]),
+        s=np.array([*(tag.s for tag in tags), *outline.PLACES[curve]]),
         xy=in_base,
         angle=angle,
         covariance=covariance,
@@ -312,12 +307,12 @@ def track_markers(rec: Recording, settings: ContactSettings = ContactSettings())
     )
     origin, direction = clamp_frame(rec, tracks, raw, settings)
     xy = rotated(in_base - origin, np.array(-direction))
-    if worst := lengths_apart(xy, rec, "the clamp", "marker")[0]:
+    if worst := camera.lengths_apart(xy, rec, "the clamp", "marker")[0]:
         hint = "Are x_m and y_m in metres? Check length_m and the markers' ids and s."
-        raise ObservationError(f"{rec.name}: {worst}.{order_hint(xy, rec)} {hint}", about="unit")
+        raise ObservationError(f"{rec.name}: {worst}.{camera.order_hint(xy, rec)} {hint}", about="unit")
     if tags:
         check_angles(xy[:, : len(tags)], raw.s[: len(tags)], angle[:, : len(tags)], rec.name)
-    turned = replace(raw, xy=xy, angle=unwrap(angle - direction))
+    turned = replace(raw, xy=xy, angle=camera.unwrap(angle - direction))
     return of_markers(turned, np.argsort(raw.s, kind="stable")) if len(curve) else turned
 
 
@@ -326,7 +321,7 @@ def read_tracks(rec: Recording) -> Tracks:
     entry = rec.markers
     assert entry is not None
     known = ("z_m", "angle_rad", "sd_m")
-    table = read_columns(entry.file, ("time_s", "x_m", "y_m"), ("id", "order", *known), kind="marker table")
+    table = tables.read_columns(entry.file, ("time_s", "x_m", "y_m"), ("id", "order", *known), kind="marker table")
     time, wanted = table.get("time_s"), [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
     table.refuse(~(np.abs(time) < signals.LATEST), "time_s is empty or no time. Remove the row, or give its time.")
     drawn = curve_rows(table, "" if rec.tags.on_beam else "[[tags.on_beam]]")
@@ -382,9 +377,9 @@ def _with_curve(rec: Recording, tracks: Tracks, vertices: Array, sd: Array) -> T
     return replace(
         tracks,
         xy=np.concatenate([tracks.xy, curve.xy], axis=1),
-        angle=np.concatenate([tracks.angle, unwrap(curve.angle)], axis=1),
+        angle=np.concatenate([tracks.angle, camera.unwrap(curve.angle)], axis=1),
         sd=np.concatenate([tracks.sd, own], axis=1),
-        curve=POINTS,
+        curve=outline.POINTS,
     )
 
 
@@ -412,17 +407,17 @@ def base_motion(tracks: Tracks, base: int) -> tuple[Array, Array, tuple[Remark, 
     if base == 0:
         return np.zeros((count, 2)), np.zeros(count), ()
     xy, angle = tracks.xy[:, :base], tracks.angle[:, :base]
-    middle, smooth = np.nanmedian(xy, axis=0), signals.running_median(_held(xy.reshape(count, -1)), RUNNING)
+    middle, smooth = np.nanmedian(xy, axis=0), signals.running_median(_held(xy.reshape(count, -1)), camera.RUNNING)
     step = np.nan_to_num(np.linalg.norm(smooth.reshape(xy.shape) - middle, axis=-1))
-    if not np.any(step > MOVED * np.nanmedian(tracks.sd[:, :base], axis=0)):
+    if not np.any(step > camera.MOVED * np.nanmedian(tracks.sd[:, :base], axis=0)):
         return np.broadcast_to(middle[0], (count, 2)), np.zeros(count), ()
     first, turn = int(np.argmax(np.isfinite(xy).all(axis=(1, 2)))), np.zeros(count)
     if np.isfinite(angle[:, 0]).any():
-        turn = unwrap(angle[:, 0] - angle[first, 0])
+        turn = camera.unwrap(angle[:, 0] - angle[first, 0])
     elif base > 1:
         relative, reference = xy - xy[:, :1], xy[first] - xy[first, 0]
         cross = reference[:, 0] * relative[..., 1] - reference[:, 1] * relative[..., 0]
-        turn = unwrap(np.arctan2(np.sum(cross, axis=1), np.sum(relative * reference, axis=(1, 2))))
+        turn = camera.unwrap(np.arctan2(np.sum(cross, axis=1), np.sum(relative * reference, axis=(1, 2))))
     shift, turn = _held(xy[:, 0]), _held(turn[:, None])[:, 0]
     text = f"The base moves, by up to {1000 * float(step.max()):.2g} mm and {math.degrees(float(np.ptp(turn))):.2g} deg"
     if base == 1 and not np.isfinite(angle).any():
@@ -431,7 +426,7 @@ def base_motion(tracks: Tracks, base: int) -> tuple[Array, Array, tuple[Remark, 
     return shift, turn, (Remark("warning", f"{text}.", about="base moves"),)
 
 
-def clamp_frame(rec: Recording, tracks: Tracks, raw: Markers, settings: ContactSettings) -> tuple[Array, float]:
+def clamp_frame(rec: Recording, tracks: Tracks, raw: Markers, settings: force.ContactSettings) -> tuple[Array, float]:
     """(2,) m and rad: the clamp's place and direction, from the first base marker and in the tracker's plane."""
     base, length = rec.tags.on_base, rec.beam.length
     start = np.nanmedian(tracks.xy[:, 0], axis=0) if base else np.zeros(2)
@@ -444,7 +439,7 @@ def clamp_frame(rec: Recording, tracks: Tracks, raw: Markers, settings: ContactS
         origin = -where_base * np.array([math.cos(direction), math.sin(direction)])
     if origin is not None and direction is not None:
         return origin, direction
-    still = find_contact(with_angles(raw), None, settings=settings).still
+    still = force.find_contact(with_angles(raw), None, settings=settings).still
     if rec.gravity is not None or not still.any():
         why = "its weight bends the beam" if rec.gravity is not None else "no frame shows the beam at rest"
         raise ObservationError(
@@ -493,7 +488,7 @@ def _held(values: Array) -> Array:
     return np.asarray(values[np.where(rows < 0, int(np.argmax(known)), rows)])
 
 
-def _refuse_missing(rec: Recording, table: Columns, xy: Array, wanted: list[int], drawn: BoolArray) -> None:
+def _refuse_missing(rec: Recording, table: tables.Columns, xy: Array, wanted: list[int], drawn: BoolArray) -> None:
     """An error where a marker of recording.toml is nowhere in the table, whose `drawn` (N,) rows have no id."""
     present = np.asarray(np.isfinite(xy).all(axis=-1).any(axis=0)).tolist()
     if never := [marker for marker, shown in zip(wanted, present, strict=True) if not shown]:
@@ -542,7 +537,7 @@ class SwingSignals:
 
 def signals_of_table(path: Path) -> SwingSignals:
     """Every column of numbers beside time_s; of a table of tracks (id, x_m, y_m) the places of each point."""
-    table = read_every_column(path, TIME, kind="table of a swing")
+    table = tables.read_every_column(path, TIME, kind="table of a swing")
     if set(_POINTS) <= set(table.numbers):
         return _of_points(path)
     labels = tuple(name for name in table.numbers if name != TIME and np.isfinite(table.numbers[name]).any())
@@ -554,25 +549,21 @@ def signals_of_table(path: Path) -> SwingSignals:
 def signals_of_tracks(rec: Recording) -> SwingSignals:
     """Of the markers of a recording, or of its curve, in the tracker's plane."""
     tracks, base = read_tracks(rec), len(rec.tags.on_base)
-    return _places(rec.name, tracks.time, tracks.xy[:, base:])
+    return signals_of_places(rec.name, tracks.time, tracks.xy[:, base:])
 
 
-def signals_of_markers(markers: Markers, name: str) -> SwingSignals:
-    """Of tags in a film, against the base tag."""
-    return _places(name, markers.time, markers.xy)
+def signals_of_places(name: str, time: Array, xy: Array) -> SwingSignals:
+    """Of points (T, m, 2) m, such as tags in a film against the base tag."""
+    return SwingSignals(name, time, xy.reshape(len(time), -1))
 
 
 def _of_points(path: Path) -> SwingSignals:
-    table = read_columns(path, (TIME, *_POINTS), kind="table of tracks")
+    table = tables.read_columns(path, (TIME, *_POINTS), kind="table of tracks")
     time, row = np.unique(table.get(TIME), return_inverse=True)
     ids, column = np.unique(table.get("id"), return_inverse=True)
     places = np.full((len(time), len(ids), 2), np.nan)
     places[row, column] = np.stack([table.get("x_m"), table.get("y_m")], axis=1)
-    return _places(path.name, time, places)
-
-
-def _places(name: str, time: Array, xy: Array) -> SwingSignals:
-    return SwingSignals(name, time, xy.reshape(len(time), -1))
+    return signals_of_places(path.name, time, places)
 
 
 def measured_frequencies(rec: Recording) -> tuple[MeasuredFrequency, ...]:
@@ -601,7 +592,7 @@ def frequency_observations(rec: Recording) -> Observations:
     """A recording of frequencies alone. All that it shows of the beam is the clamp in its place: nothing of k."""
     seen = Observations(
         source=Source(rec.name, remarks=rec.remarks),
-        stated=replace(stated_in(rec), clamp_sd=0.0, placement_sd=0.0, turn_sd=0.0),
+        stated=replace(stated.stated_in(rec), clamp_sd=0.0, placement_sd=0.0, turn_sd=0.0),
         length=rec.beam.length,
         time=np.zeros(1),
         frame=np.zeros(1, dtype=np.int64),

@@ -11,12 +11,9 @@ import numpy as np
 from onebend.beam.model import Beam
 from onebend.beam.section import ModulusBand, one_modulus
 from onebend.beam.stiffness import IDENTIFIED_SD, UncertainStiffness, half_width, half_width_words
+from onebend.learning import criticism, outcome, run, verdict
 from onebend.learning.attribution import FORCE_SCALE, SHIFTS, WIDENS, Attribution, hidden_by
-from onebend.learning.criticism import ALARM_WRITTEN
-from onebend.learning.outcome import modulus_along, shown_places, stated_section
 from onebend.learning.posterior import Nuisance, Posterior, tradeoffs, with_level
-from onebend.learning.run import Run
-from onebend.learning.verdict import possible, what_is_tested
 from onebend.recording.signals import runs
 from onebend.records import GAIN_SD, PLACE_SD, Array, Observations, StatedSection
 from onebend.report import sentences
@@ -84,7 +81,7 @@ def typical_half_width(uncertain: UncertainStiffness) -> float:
     return float(np.median(uncertain.half_width(s)))
 
 
-def stiffness_range(findings: Run) -> tuple[float, float]:
+def stiffness_range(findings: run.Run) -> tuple[float, float]:
     """Smallest and largest k(s) [N m] where identified, else of the whole beam."""
     s = np.linspace(0.0, 1.0, 201)
     k = findings.beam.stiffness(s)
@@ -193,10 +190,10 @@ def model_test_rows(posterior: Posterior, most: int = 8) -> list[ModelTestRow]:
     """The tests with the smallest p-values; none for a hopeless fit."""
     if any(misfit.hopeless for misfit in posterior.misses):
         return []
-    critic = possible(posterior).criticism
+    critic = verdict.possible(posterior).criticism
     return [
         ModelTestRow(
-            what=words(what_is_tested(finding, posterior)),
+            what=words(verdict.what_is_tested(finding, posterior)),
             odds=odds(finding.score.log10_p),
             size=millimetres(finding.score.size),
             shift=f"{100.0 * float(np.expm1(finding.shift)):.2g} %",
@@ -208,9 +205,9 @@ def model_test_rows(posterior: Posterior, most: int = 8) -> list[ModelTestRow]:
 
 def alarm_words(posterior: Posterior) -> str:
     """The threshold of the tests."""
-    critic = possible(posterior).criticism
+    critic = verdict.possible(posterior).criticism
     code = "alarm of poses" if sentences.only_static([one.observations for one in posterior.recordings]) else "alarm"
-    return say(code, tests=len(critic.able), odds=critic.alarm, written=max(critic.alarm, ALARM_WRITTEN))
+    return say(code, tests=len(critic.able), odds=critic.alarm, written=max(critic.alarm, criticism.ALARM_WRITTEN))
 
 
 def tradeoff_words(posterior: Posterior) -> list[str]:
@@ -303,12 +300,12 @@ class MeasuredBeam:
 
     def band(self, s: Array) -> ModulusBand | None:
         """E at `s` (S,); None without a section."""
-        return modulus_along(self.beam, self.uncertain, self.section, s)
+        return outcome.modulus_along(self.beam, self.uncertain, self.section, s)
 
 
-def measured_beam(findings: Run) -> MeasuredBeam:
+def measured_beam(findings: run.Run) -> MeasuredBeam:
     uncertain = None if findings.posterior is None else findings.posterior.stiffness
-    return MeasuredBeam(findings.beam, uncertain, stated_section(findings.recordings))
+    return MeasuredBeam(findings.beam, uncertain, outcome.stated_section(findings.recordings))
 
 
 def modulus_rows(measured: MeasuredBeam, s: Array) -> ModulusRows | None:
@@ -316,7 +313,7 @@ def modulus_rows(measured: MeasuredBeam, s: Array) -> ModulusRows | None:
     band = measured.band(s)
     if band is None:
         return None
-    factor, unit = modulus_unit(band.modulus[shown_places(band)])
+    factor, unit = modulus_unit(band.modulus[outcome.shown_places(band)])
     columns = [
         tuple(significant(float(value)) for value in edge / factor) for edge in (band.modulus, band.low, band.high)
     ]
@@ -336,7 +333,7 @@ def one_modulus_words(measured: MeasuredBeam) -> str:
 def modulus_range(measured: MeasuredBeam) -> str:
     """ "0.68 … 0.73 MPa" where k(s) is identified; empty without a section."""
     band = measured.band(np.linspace(0.0, 1.0, 201))
-    if band is None or not np.any(shown := shown_places(band)):
+    if band is None or not np.any(shown := outcome.shown_places(band)):
         return ""
     found = band.modulus[shown]
     factor, unit = modulus_unit(found)

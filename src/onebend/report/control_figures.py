@@ -10,12 +10,8 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from onebend.beam.model import Beam
-from onebend.control.loop import Controller
-from onebend.control.loop_simulation import SETTLED, LoopTrial
-from onebend.control.path import FollowedPath
+from onebend.control import loop, loop_simulation, path, reach_set, shape
 from onebend.control.reach import SURE, PredictedError, Reach, ReachInSetUp
-from onebend.control.reach_set import ReachableSet
-from onebend.control.shape import ShapeResult
 from onebend.learning.sensing.sense import WIDE, Sensed
 from onebend.records import Array
 from onebend.report.sentences import significant
@@ -28,7 +24,7 @@ TORN = 0.25  # of L: samples farther apart are on two sheets
 
 @styled
 def reaching(
-    result: Reach | ReachInSetUp, error: PredictedError | None = None, within: ReachableSet | None = None
+    result: Reach | ReachInSetUp, error: PredictedError | None = None, within: reach_set.ReachableSet | None = None
 ) -> Figure:
     """The beam on its way to the goal (Fig. 8), the force, and the uncertainty of the point."""
     figure, (axes,) = blank(4.2)
@@ -79,7 +75,7 @@ def _arrow(axes: Axes, tail: Array, head: Array, *, far: Array) -> None:
     axes.plot(*far, alpha=0.0)
 
 
-def draw_reachable(axes: Axes, within: ReachableSet) -> None:
+def draw_reachable(axes: Axes, within: reach_set.ReachableSet) -> None:
     """Cells between samples, darker for larger forces; none where the beam would jump."""
     rest = np.broadcast_to(within.pushed.pose(within.pushed.start.q)[:2], (len(within.points), 1, 2))
     rings = np.concatenate([rest, within.points], axis=1)
@@ -104,7 +100,7 @@ S = np.linspace(0.0, 1.0, 121)
 
 
 @styled
-def shaping(beam: Beam, result: ShapeResult) -> Figure:
+def shaping(beam: Beam, result: shape.ShapeResult) -> Figure:
     """The shape, its targets and its loads."""
     figure, (axes,) = blank(4.4)
     resting = beam.equilibrium([0.0, 0.0]).xy(S)
@@ -129,7 +125,7 @@ def shaping(beam: Beam, result: ShapeResult) -> Figure:
 
 
 @styled
-def path_figure(way: FollowedPath) -> Figure:
+def path_figure(way: path.FollowedPath) -> Figure:
     """The beam on its way, the controls in time, and the distance from the goals."""
     figure, (places, acting, lag) = blank(8.2, rows=3, gridspec_kw={"height_ratios": [2.4, 1.4, 0.8]})
     shown = np.unique(np.round(np.linspace(0, len(way.time) - 1, 7)).astype(int))
@@ -149,7 +145,7 @@ def path_figure(way: FollowedPath) -> Figure:
     return figure
 
 
-def _hands_in_time(axes: Axes, way: FollowedPath) -> None:
+def _hands_in_time(axes: Axes, way: path.FollowedPath) -> None:
     for i, pusher in enumerate(way.actuators.pushes):
         axes.plot(way.time, way.forces[:, i, 0], color=hue_of(i), label=f"$F_x$ at s = {pusher.at_s:.3g}")
         axes.plot(way.time, way.forces[:, i, 1], "--", color=hue_of(i), label=f"$F_y$ at s = {pusher.at_s:.3g}")
@@ -167,20 +163,20 @@ def _hands_in_time(axes: Axes, way: FollowedPath) -> None:
     axes.legend(loc="center left", bbox_to_anchor=(1.0 if other is axes else 1.08, 0.5))
 
 
-def _acting(way: FollowedPath) -> str:
+def _acting(way: path.FollowedPath) -> str:
     if way.wrench is None:
         return "Force" if len(way.actuators.pushes) == 1 else "Forces"
     return "Forces and gripper" if way.actuators.pushes else "Gripper"
 
 
-def _spread(axes: Axes, result: ShapeResult) -> None:
+def _spread(axes: Axes, result: shape.ShapeResult) -> None:
     assert result.spread is not None
     at, sd = MM * result.targets.places(result.state.solved)[0], 2.0 * MM * result.spread.xy
     label = "2 sd by the band on k(s)"
     axes.errorbar(at[:, 0], at[:, 1], xerr=sd[:, 0], yerr=sd[:, 1], fmt="none", ecolor=GREEN, lw=1.2, label=label)
 
 
-def _targets(axes: Axes, result: ShapeResult, length: float) -> None:
+def _targets(axes: Axes, result: shape.ShapeResult, length: float) -> None:
     targets = result.targets
     wanted = MM * targets.xy[targets.placed]
     axes.plot(*wanted.T, "x", color=ORANGE, markersize=7, markeredgewidth=1.8, zorder=6, label="wanted")
@@ -202,7 +198,7 @@ LINES = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."))
 
 
 @styled
-def looping(control: Controller, trials: tuple[LoopTrial, ...]) -> Figure:
+def looping(control: loop.Controller, trials: tuple[loop_simulation.LoopTrial, ...]) -> Figure:
     """One curve per beam."""
     figure, (away, force) = blank(5.0, 2, 1)
     for i, trial in enumerate(trials):
@@ -214,10 +210,10 @@ def looping(control: Controller, trials: tuple[LoopTrial, ...]) -> Figure:
             name = "k(s) drawn from its band" if i == 1 else ""
         away.semilogy(trial.run.time, MM * np.maximum(trial.run.error, LEAST), color=colour, ls=dash)
         force.plot(trial.run.time, np.hypot(*trial.run.asked.T), color=colour, ls=dash, label=name)
-    away.axhline(MM * SETTLED, color=MUTED, lw=1.0, ls=":")
+    away.axhline(MM * loop_simulation.SETTLED, color=MUTED, lw=1.0, ls=":")
     x, y = MM * control.goal
     away.set(ylabel="from the goal [mm]", title=f"The loop, simulated: goal at ({x:.4g}, {y:.4g}) mm")
-    _said(away, MM * SETTLED, f"settled: {MM * SETTLED:.3g} mm")
+    _said(away, MM * loop_simulation.SETTLED, f"settled: {MM * loop_simulation.SETTLED:.3g} mm")
     ahead = float(np.hypot(*control.reference.ends))
     force.axhline(ahead, color=MUTED, lw=1.0, ls=":")
     _said(force, ahead, "feedforward")

@@ -11,21 +11,14 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from onebend.errors import ObservationError, OnebendError, told
-from onebend.recording.bag_topics import bag_span
-from onebend.recording.beam_frame import read_base_log, rest_shape
-from onebend.recording.clock import reach_of
-from onebend.recording.clock_features import ClockSettings
+from onebend.recording import bag_topics, beam_frame, clock, clock_features, force_axes, force_log, photos, stated
 from onebend.recording.entries import Recording, VideoEntry
 from onebend.recording.folder import read_recording
 from onebend.recording.force import check_pace, read_log, to_beam
-from onebend.recording.force_axes import check_direction
-from onebend.recording.force_log import refuse_other_unit, size_remarks
 from onebend.recording.observe import FEWEST_FRAMES, observe
-from onebend.recording.photos import photo_observations
 from onebend.recording.poses import read_loads, read_points
 from onebend.recording.preview import Preview, bent, displacement, look_at
 from onebend.recording.signals import outliers, step
-from onebend.recording.stated import stated_in
 from onebend.recording.tracks import read_tracks
 from onebend.recording.video import opened
 from onebend.records import Array, ForceLog, Markers, Observations, OutlineTrack, Remark
@@ -81,15 +74,15 @@ def overview(folder: Path | str) -> Overview:
     """Reads and checks every file, and searches some frames for tags. Raises `RecordingError` for unreadable files,
     `ObservationError` for tracks or poses that make no observations."""
     recording = read_recording(folder)
-    section = stated_in(recording).section
+    section = stated.stated_in(recording).section
     if recording.gravity is not None and recording.gravity.base_angle_file is not None:
-        read_base_log(recording.gravity.base_angle_file)
+        beam_frame.read_base_log(recording.gravity.base_angle_file)
     log = read_log(recording)
     preview = None if recording.video is None else look_at(recording)
     seen: Observations | None = None
     curves: tuple[OutlineTrack, ...] = ()
     if recording.photos is not None:
-        seen, curves = photo_observations(recording)
+        seen, curves = photos.photo_observations(recording)
     elif recording.video is None:
         seen = observe(recording)
     film = None if preview is None or recording.video is None else film_info(recording.video, preview)
@@ -106,7 +99,7 @@ def overview(folder: Path | str) -> Overview:
         remarks = [*seen.source.remarks]
     if preview is not None:
         remarks += preview.remarks
-        remarks += _force_remarks(recording, log)
+        remarks += () if log is None else force_log.size_remarks(_largest(recording, log), recording.beam.mass)
     faults = [] if preview is None else _faults(recording, preview, film, log)
     return Overview(recording.name, tuple(rows), tuple(remarks), tuple(faults), recording, preview, seen, log, curves)
 
@@ -117,7 +110,7 @@ def film_info(video: VideoEntry, preview: Preview) -> FilmInfo:
     if preview.whole:
         return FilmInfo(width, height, preview.frames, preview.looked[-1].time)
     if video.topic:
-        frames, seconds = bag_span(video)
+        frames, seconds = bag_topics.bag_span(video)
         return FilmInfo(width, height, frames, seconds)
     with opened(video.file) as container:
         seconds = container.duration / 1e6 if container.duration else float("nan")
@@ -135,7 +128,7 @@ def _faults(description: Recording, preview: Preview, film: FilmInfo | None, log
     if log is None:
         return faults
     checks: list[Callable[[], None]] = [
-        lambda: refuse_other_unit(_largest(description, log), description.beam.mass, description.name)
+        lambda: force_log.refuse_other_unit(_largest(description, log), description.beam.mass, description.name)
     ]
     if film is not None and np.isfinite(film.seconds):
         checks.append(lambda: _refuse_apart(description, film.seconds, log))
@@ -173,15 +166,11 @@ def tared(description: Recording, log: ForceLog) -> Array:
     return np.asarray(force - np.median(force[:first], axis=0))
 
 
-def _force_remarks(description: Recording, log: ForceLog | None) -> tuple[Remark, ...]:
-    return () if log is None else size_remarks(_largest(description, log), description.beam.mass)
-
-
 def _refuse_apart(description: Recording, seconds: float, log: ForceLog) -> None:
     start, doubt = description.start
     if not np.isfinite(start + doubt):
         return
-    slack = reach_of(doubt, ClockSettings().margin)
+    slack = clock.reach_of(doubt, clock_features.ClockSettings().margin)
     if start + seconds + slack < log.time[0] or start - slack > log.time[-1]:
         raise ObservationError(
             f"The film ({start:.1f} to {start + seconds:.1f} s on the log's clock, give or take {doubt:.2g} s) and the "
@@ -199,7 +188,7 @@ def _refuse_axes(description: Recording, markers: Markers, log: ForceLog) -> Non
     place = np.nan if description.push is None else description.push.at
     if not np.isfinite(start + doubt + place) or not away.max() > 0.0:
         return
-    size, reach = np.linalg.norm(force, axis=1), reach_of(doubt, ClockSettings().margin)
+    size, reach = np.linalg.norm(force, axis=1), clock.reach_of(doubt, clock_features.ClockSettings().margin)
     offsets = np.arange(start - reach, start + reach + STEP, STEP) if doubt > 0.0 else np.array([start])
     if len(offsets) > MOST_OFFSETS:
         return
@@ -209,8 +198,8 @@ def _refuse_axes(description: Recording, markers: Markers, log: ForceLog) -> Non
     time = markers.time + offsets[int(np.argmax(alike))]
     at_frames = np.stack([np.interp(time, log.time, column) for column in force.T], axis=1)
     loaded = bent(markers)
-    rest = rest_shape(markers, ~loaded)
-    check_direction(description, markers, rest, at_frames, np.full(len(time), place), loaded, refuse=True)
+    rest = beam_frame.rest_shape(markers, ~loaded)
+    force_axes.check_direction(description, markers, rest, at_frames, np.full(len(time), place), loaded, refuse=True)
 
 
 def _likeness(time: Array, away: Array, log_time: Array, size: Array) -> float:

@@ -13,26 +13,12 @@ from typing import Any, Literal
 
 import numpy as np
 
+from onebend import records
 from onebend.beam.stiffness import UncertainStiffness, half_width_words
-from onebend.learning.attribution import GROUPS
-from onebend.learning.design import Quality
-from onebend.learning.frequencies import ComparedFrequency, Posture
-from onebend.learning.outcome import Comparison, Notice, another_beam, poor_fit
-from onebend.learning.run import Run
-from onebend.records import (
-    POINT_ID,
-    Array,
-    CleanForce,
-    ClockOffset,
-    Observations,
-    Remark,
-    StatedSection,
-    marker_words,
-    read_before_fit,
-)
+from onebend.learning import attribution, design, frequencies, outcome, run
 
 
-def name_of(findings: Run) -> str:
+def name_of(findings: run.Run) -> str:
     """Names of the learned recordings."""
     return " + ".join(recording.source.name for recording in findings.recordings)
 
@@ -59,7 +45,7 @@ WORDS: dict[Kind, KindWords] = {
 }
 
 
-def kind_of(observations: Observations) -> Kind:
+def kind_of(observations: records.Observations) -> Kind:
     if observations.frequencies and observations.static and not np.any(observations.marker_s):
         return "frequencies"
     if observations.static:
@@ -67,22 +53,22 @@ def kind_of(observations: Observations) -> Kind:
     return "tracks" if observations.source.view is None else "film"
 
 
-def words_of(observations: Observations) -> KindWords:
+def words_of(observations: records.Observations) -> KindWords:
     return WORDS[kind_of(observations)]
 
 
-def is_forced(observations: Observations) -> bool:
+def is_forced(observations: records.Observations) -> bool:
     """Whether a known force bends it, not its weight alone."""
     if not observations.static:
         return observations.source.clean_force is not None
     return observations.known_loads is not None or bool(np.any(observations.force != 0.0))
 
 
-def only_static(recordings: Sequence[Observations]) -> bool:
+def only_static(recordings: Sequence[records.Observations]) -> bool:
     return all(one.static for one in recordings)
 
 
-def learned_from(observations: Observations) -> str:
+def learned_from(observations: records.Observations) -> str:
     """ "440 loaded frames of a film (600 in all)", "6 poses under known loads"."""
     swings = f"{len(observations.frequencies)} natural frequencies"
     if kind_of(observations) == "frequencies":
@@ -90,11 +76,11 @@ def learned_from(observations: Observations) -> str:
     return _shown(observations) + (f", and {swings}" if observations.frequencies else "")
 
 
-def only_frequencies(recordings: Sequence[Observations]) -> bool:
+def only_frequencies(recordings: Sequence[records.Observations]) -> bool:
     return all(kind_of(one) == "frequencies" for one in recordings)
 
 
-def _shown(observations: Observations) -> str:
+def _shown(observations: records.Observations) -> str:
     count, used, kind = len(observations.time), int(observations.loaded.sum()), kind_of(observations)
     if observations.static:
         of = "photos of the beam" if kind == "photos" else "static poses"
@@ -151,7 +137,7 @@ def counted(count: int, what: str) -> str:
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
-def worst_tag(comparison: Comparison) -> str:
+def worst_tag(comparison: outcome.Comparison) -> str:
     """The largest RMS, with its tag."""
     if not np.isfinite(comparison.rms).any():
         return UNKNOWN
@@ -160,27 +146,27 @@ def worst_tag(comparison: Comparison) -> str:
     return whole.replace("tag ", "tag\N{NO-BREAK SPACE}").replace(" mm", "\N{NO-BREAK SPACE}mm")
 
 
-def tag_words(comparison: Comparison, index: int) -> str:
+def tag_words(comparison: outcome.Comparison, index: int) -> str:
     """As `marker_words`."""
-    return marker_words(int(comparison.tag_id[index]), float(comparison.marker_s[index]))
+    return records.marker_words(int(comparison.tag_id[index]), float(comparison.marker_s[index]))
 
 
-def legend_words(comparison: Comparison, index: int, *, place: bool = False) -> str:
+def legend_words(comparison: outcome.Comparison, index: int, *, place: bool = False) -> str:
     """For legends: "tag 3", with its place "tag 3, s = 1"; of a point of an outline its place alone."""
     number, s = int(comparison.tag_id[index]), float(comparison.marker_s[index])
     at = f"s = {s:.3g}"
-    if number >= POINT_ID:
+    if number >= records.POINT_ID:
         return at
     return f"tag {number}, {at}" if place else f"tag {number}"
 
 
 def axis_words(numbers: Sequence[int]) -> list[str]:
     """For marks along an axis that shows s: "tag 1", "2", "3"; of an outline only its first point has a word."""
-    first = "outline" if numbers[0] >= POINT_ID else f"tag {numbers[0]}"
-    return [first, *("" if i >= POINT_ID else f"{i}" for i in numbers[1:])]
+    first = "outline" if numbers[0] >= records.POINT_ID else f"tag {numbers[0]}"
+    return [first, *("" if i >= records.POINT_ID else f"{i}" for i in numbers[1:])]
 
 
-def clock_words(clock: ClockOffset) -> str:
+def clock_words(clock: records.ClockOffset) -> str:
     """The offset with its sd, against the stated one."""
     if clock.sd == 0.0:
         return f"{clock.offset:.3f} s as written in recording.toml, which calls it exact"
@@ -194,7 +180,7 @@ def clock_words(clock: ClockOffset) -> str:
     )
 
 
-def inputs(observations: Observations) -> list[tuple[str, str]]:
+def inputs(observations: records.Observations) -> list[tuple[str, str]]:
     """Processing of the force log and the clocks, row by row."""
     rows = [] if observations.source.clean_force is None else _force_rows(observations.source.clean_force)
     if observations.static:
@@ -211,14 +197,14 @@ def inputs(observations: Observations) -> list[tuple[str, str]]:
     if kind_of(observations) == "frequencies":
         return [*rows, ("natural frequencies", str(len(observations.frequencies)))]
     found = 100.0 * np.isfinite(observations.xy[..., 0]).mean(axis=0)
-    shown = read_before_fit(observations)
+    shown = records.read_before_fit(observations)
     places = zip(observations.tag_id[shown].tolist(), observations.marker_s[shown].tolist(), found[shown], strict=True)
-    tags = ", ".join(f"{marker_words(number, s)} {share:.1f} %" for number, s, share in places)
+    tags = ", ".join(f"{records.marker_words(number, s)} {share:.1f} %" for number, s, share in places)
     words = words_of(observations)
     return [*rows, (f"{words.frames} in which a tag was found", tags)]
 
 
-def _force_rows(clean: CleanForce) -> list[tuple[str, str]]:
+def _force_rows(clean: records.CleanForce) -> list[tuple[str, str]]:
     known = bool(np.isfinite(clean.drift).any())
     drift = _pair(1000.0 * clean.drift, "mN/s") if known else "unknown (only one rest was seen)"
     filtered = f"zero-phase, {significant(clean.cutoff)} Hz" if np.isfinite(clean.cutoff) else "none"
@@ -231,7 +217,7 @@ def _force_rows(clean: CleanForce) -> list[tuple[str, str]]:
     ]
 
 
-def _load_rows(observations: Observations) -> list[tuple[str, str]]:
+def _load_rows(observations: records.Observations) -> list[tuple[str, str]]:
     if not is_forced(observations):
         return []
     size, sd = np.linalg.norm(observations.force, axis=1), 1e3 * float(np.max(observations.force_sd))
@@ -244,7 +230,7 @@ def _pair(values: Iterable[float], unit: str) -> str:
     return ", ".join(significant(value) for value in values) + f" {unit}"
 
 
-def assumptions(findings: Run) -> list[str]:
+def assumptions(findings: run.Run) -> list[str]:
     """Assumptions behind the result."""
     recording = findings.recordings[0]
     rest = "straight when nothing pushes it" if recording.stated.rest == "straight" else "of unknown shape at rest"
@@ -263,7 +249,7 @@ def assumptions(findings: Run) -> list[str]:
     ]
 
 
-def _loading(recording: Observations) -> list[str]:
+def _loading(recording: records.Observations) -> list[str]:
     if kind_of(recording) == "frequencies":
         return ["It swings freely about rest, and so little that its frequencies do not depend on how far."]
     if recording.static:
@@ -282,12 +268,12 @@ def _loading(recording: Observations) -> list[str]:
     ]
 
 
-def _allowed(findings: Run) -> str:
+def _allowed(findings: run.Run) -> str:
     none = "It neither stretches nor shears, and the material does not relax."
     if findings.posterior is None:
         return none
     inside = {one.name for recording in findings.posterior.recordings for one in recording.allowances}
-    names = [name for name, blocks in GROUPS.items() if inside & set(blocks)]
+    names = [name for name, blocks in attribution.GROUPS.items() if inside & set(blocks)]
     return f"The fit also allows for {', '.join(names)}." if names else none
 
 
@@ -346,7 +332,7 @@ class _Template(Formatter):
     def format_field(self, value: Any, format_spec: str) -> str:
         if format_spec in _WORDS_OF:
             return _WORDS_OF[format_spec](value)
-        if isinstance(value, Notice):
+        if isinstance(value, outcome.Notice):
             return words(value)
         unit = _UNIT.fullmatch(format_spec)
         if unit is None:
@@ -360,7 +346,7 @@ def say(code: str, **values: Any) -> str:
     return _Template().format(SENTENCES[code].text, **values)
 
 
-def words(notice: Notice) -> str:
+def words(notice: outcome.Notice) -> str:
     """The sentence of a notice, with its recording if there are several."""
     whose = f"{notice.whose}: " if notice.whose else ""
     if "causes" in notice.values and notice.code.startswith("more"):
@@ -368,19 +354,19 @@ def words(notice: Notice) -> str:
     return whose + say(notice.code, **notice.values)
 
 
-def worded(notices: Iterable[Notice | Remark]) -> tuple[Remark, ...]:
+def worded(notices: Iterable[outcome.Notice | records.Remark]) -> tuple[records.Remark, ...]:
     """Notices as warnings (with a section in docs/troubleshooting.md) or notes."""
-    return tuple(one if isinstance(one, Remark) else _worded(one) for one in notices)
+    return tuple(one if isinstance(one, records.Remark) else _worded(one) for one in notices)
 
 
-def _worded(notice: Notice) -> Remark:
+def _worded(notice: outcome.Notice) -> records.Remark:
     causes = notice.values.get("causes", ())
     about = SENTENCES[causes[0].code if causes else notice.code].about
     level: Literal["warning", "note"] = "warning" if about else "note"
-    return Remark(level, words(notice), about=about)
+    return records.Remark(level, words(notice), about=about)
 
 
-def remedy(cause: Notice) -> str:
+def remedy(cause: outcome.Notice) -> str:
     """What to do about a cause."""
     sentence, values = SENTENCES[cause.code], cause.values
     if values["static"] and sentence.do_for_poses:
@@ -389,7 +375,7 @@ def remedy(cause: Notice) -> str:
     return _Template().format(do, **values)
 
 
-def _more(notice: Notice) -> str:
+def _more(notice: outcome.Notice) -> str:
     values = notice.values
     parts = [say(notice.code)]
     if values["symptoms"]:
@@ -404,19 +390,19 @@ def _more(notice: Notice) -> str:
     return ". ".join([*parts, say("more: change" if np.isfinite(values["change"]) else "more: another", **change)])
 
 
-def pair_remarks(comparison: Comparison, observations: Observations) -> list[Remark]:
+def pair_remarks(comparison: outcome.Comparison, observations: records.Observations) -> list[records.Remark]:
     """Remarks on one validation."""
-    missed = poor_fit(comparison, other=True) or another_beam(comparison)
+    missed = outcome.poor_fit(comparison, other=True) or outcome.another_beam(comparison)
     return [*observations.source.remarks, *worded((*comparison.remarks, *missed))]
 
 
-def all_remarks(findings: Run) -> list[tuple[str, Remark]]:
+def all_remarks(findings: run.Run) -> list[tuple[str, records.Remark]]:
     """Every remark once, with its recording; warnings first."""
-    found: dict[tuple[str, str], tuple[str, Remark]] = {}
+    found: dict[tuple[str, str], tuple[str, records.Remark]] = {}
     groups = [(name_of(findings), list(findings.remarks))]
     for comparison, recording in zip(findings.trainings, findings.recordings, strict=True):
         # For static poses this is a notice of the fit.
-        missed = () if comparison.static and findings.posterior else poor_fit(comparison)
+        missed = () if comparison.static and findings.posterior else outcome.poor_fit(comparison)
         groups.append((comparison.name, [*recording.source.remarks, *worded((*comparison.remarks, *missed))]))
     for comparison, recording in zip(findings.validations, findings.validation_observations, strict=True):
         groups.append((comparison.name, pair_remarks(comparison, recording)))
@@ -438,14 +424,14 @@ def odds(log10_p: float) -> str:
     return f"1 in {whole}" + (" or less" if log10_p < -9.0 else "")
 
 
-def modulus_unit(values: Array) -> tuple[float, str]:
+def modulus_unit(values: records.Array) -> tuple[float, str]:
     """Unit [Pa] and name for these moduli [Pa]."""
     known = values[np.isfinite(values)]
     middle = float(np.median(np.abs(known))) if known.size else 0.0
     return next((unit for unit in MODULUS_UNITS if middle >= unit[0]), MODULUS_UNITS[-1])
 
 
-def size_words(section: StatedSection) -> list[str]:
+def size_words(section: records.StatedSection) -> list[str]:
     """ "width_m 12 mm in the plane of bending", "diameter_m 4 to 9 mm"."""
     if section.moment is not None:
         return [f"I_m4 {_range(1e12 * section.moment, 'mm^4')}"]
@@ -458,16 +444,16 @@ def size_words(section: StatedSection) -> list[str]:
     return [f"width_m {inside} in the plane of bending", f"thickness_m {across} across it"]
 
 
-def _lengths(size: Array) -> str:
+def _lengths(size: records.Array) -> str:
     return _range(size, "m") if np.max(size) >= 1.0 else _range(1e3 * size, "mm")
 
 
-def _range(values: Array, unit: str) -> str:
+def _range(values: records.Array, unit: str) -> str:
     least, most = f"{float(np.min(values)):.3g}", f"{float(np.max(values)):.3g}"
     return f"{least} {unit}" if least == most else f"{least} to {most} {unit}"
 
 
-def posture_words(posture: Posture) -> str:
+def posture_words(posture: frequencies.Posture) -> str:
     """Orientation of the base, and mass at the tip."""
     x, y = posture.gravity.tolist()
     size = float(np.hypot(x, y))
@@ -479,7 +465,7 @@ def posture_words(posture: Posture) -> str:
     return f"{held}, {1e3 * tip:.3g} g at the tip" if tip > 0.0 else held
 
 
-def _swing(row: ComparedFrequency, kind: Literal["validated", "fitted", "odd"]) -> str:
+def _swing(row: frequencies.ComparedFrequency, kind: Literal["validated", "fitted", "odd"]) -> str:
     measured = f"mode {row.mode} ({posture_words(row.posture)}) {row.measured:.5g} Hz"
     if kind == "validated":
         return f"{measured}, the beam {row.fitted:.5g} Hz ({100.0 * (row.fitted / row.measured - 1.0):+.2g} %)"
@@ -497,7 +483,7 @@ def _poses(off: tuple[tuple[str, float], ...]) -> str:
     return named + (f" and {len(off) - _MOST_POSES} more" if len(off) > _MOST_POSES else "")
 
 
-def _identified(quality: Quality) -> str:
+def _identified(quality: design.Quality) -> str:
     if quality.identified in (0.0, 1.0):
         return "identified all along" if quality.identified else "identified nowhere"
     if quality.identified_to > quality.identified - 0.02:
@@ -505,7 +491,7 @@ def _identified(quality: Quality) -> str:
     return f"identified on {100.0 * quality.identified:.0f} % of the beam"
 
 
-def _moduli(values: Array) -> str:
+def _moduli(values: records.Array) -> str:
     factor, unit = modulus_unit(values)
     return _range(values / factor, unit)
 

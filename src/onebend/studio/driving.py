@@ -20,11 +20,8 @@ from onebend.drive.plan import DrivePlan, DriveSettings, plan_rows
 from onebend.drive.seeing import BentModel
 from onebend.errors import StudioError
 from onebend.lab.designs import DESIGNS
-from onebend.studio.filming import asked_text, check_source
-from onebend.studio.jobs import asked_number, process, tell
-from onebend.studio.looping import NUMBERS, asked_goal
+from onebend.studio import filming, jobs, looping, recorder
 from onebend.studio.places import RECORDING, StudioFolder, drive_line, is_file, plain_word
-from onebend.studio.recorder import Talk, lines_in
 
 AXIS = np.linspace(0.0, 1.0, 31)  # places of the drawn line
 _LOOKS = 0.1  # s between looks at what was said
@@ -32,7 +29,7 @@ _LOOKS = 0.1  # s between looks at what was said
 
 def wanted_work(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
     """Raises `StudioError` for an invalid request, or a path outside the studio's folder."""
-    words = {key: asked_text(asked, key) for key in ("model", "like", "robot", "camera", "out")}
+    words = {key: filming.asked_text(asked, key) for key in ("model", "like", "robot", "camera", "out")}
     places.result(words["model"])
     places.recording(words["like"])
     if not words["out"] or places.path(words["out"]) == places.root:
@@ -45,10 +42,10 @@ def wanted_work(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any
     if kind == "virtual" and (design := where.split(",")[0]) not in DESIGNS:
         places.path(design)
     if words["camera"]:
-        check_source(places, words["camera"])
+        filming.check_source(places, words["camera"])
     names = {key: plain_word(words[key]) for key in ("model", "like", "out")}
-    numbers = {key: asked_number(asked, key, *NUMBERS[key]) for key in ("push_s", "point_s")}
-    wanted = {**words, **names, **numbers, "folder": str(places.root), "goal_m": asked_goal(asked)}
+    numbers = {key: jobs.asked_number(asked, key, *looping.NUMBERS[key]) for key in ("push_s", "point_s")}
+    wanted = {**words, **names, **numbers, "folder": str(places.root), "goal_m": looping.asked_goal(asked)}
     return {**wanted, "command": drive_line(wanted)}
 
 
@@ -62,30 +59,30 @@ def work(wanted: Mapping[str, Any]) -> None:
     with stopped_by_hand(times=2) as (stop, _):
 
         def obey() -> None:
-            for line in lines_in(os.dup(0)):
+            for line in recorder.lines_in(os.dup(0)):
                 if line.strip() == "go":
                     said.set()
             stop.set()  # the studio is gone
 
         threading.Thread(target=obey, daemon=True).start()
-        tell({"stage": "planning", "done": 0, "total": None})
+        jobs.tell({"stage": "planning", "done": 0, "total": None})
         folder = Path(wanted["out"])
         plan, robot = commands.planned(Path(wanted["model"]), folder, asked, DriveSettings(), **where)
         assert robot is not None
         bent = BentModel(plan.model.beam, plan.push_s, AXIS, plan.gravity)
-        tell({"found": {"plan": plan_rows(plan), "band_m": band_of(plan)}})
-        tell({"stage": "the plan is shown, and nothing moves before Go", "done": 0, "total": None})
+        jobs.tell({"found": {"plan": plan_rows(plan), "band_m": band_of(plan)}})
+        jobs.tell({"stage": "the plan is shown, and nothing moves before Go", "done": 0, "total": None})
         while not said.wait(_LOOKS):
             if stop.is_set():
                 raise KeyboardInterrupt
         begun = time.monotonic()
-        talk = Talk(sys.stdout, lambda state, _: {"now": state_data(state, bent, time.monotonic() - begun)})
+        talk = recorder.Talk(sys.stdout, lambda state, _: {"now": state_data(state, bent, time.monotonic() - begun)})
         try:
             outcome = commands.go(folder, asked, plan, robot, talk.watch, (stop,))
         finally:
             talk.end()
     goals = outcome.data["goals"]
-    tell({"found": {"outcome": goals, "delay_s": outcome.data["delay_s"], "folder": wanted["out"]}})
+    jobs.tell({"found": {"outcome": goals, "delay_s": outcome.data["delay_s"], "folder": wanted["out"]}})
     commands.refuse_failed(outcome)
 
 
@@ -116,4 +113,4 @@ def state_data(state: DriveState, bent: BentModel, seconds: float) -> dict[str, 
 
 
 if __name__ == "__main__":
-    sys.exit(process(work))
+    sys.exit(jobs.process(work))

@@ -137,9 +137,44 @@ def test_a_zero_that_ran_between_rests_is_expected_back() -> None:
     assert clean is not None
     assert clean.zero[1] - clean.zero[0] == pytest.approx(STEPS[1], abs=0.002)
     assert error.mean[0] == pytest.approx(np.zeros(2))
-    assert error.mean[-1] == pytest.approx(clean.zero[0] - clean.zero[1])
+    assert error.mean[-1] == pytest.approx(clean.zero[0] - clean.zero[1], rel=0.01)  # the last knot is in the rest
     one = with_source(o, clean_force=replace(clean, zero_time=clean.zero_time[:1], zero=clean.zero[:1]))
     assert np.all(force_error(one, o.time[o.loaded]).mean == 0.0)
+
+
+def test_the_log_before_and_after_the_film_tells_no_error() -> None:
+    o = seen(virtual_recording(BENCH, seed=0))
+    clean = o.source.clean_force
+    assert clean is not None
+    away = np.arange(1.0, 100.0)
+    time = np.concatenate([clean.time[0] - away[::-1], clean.time, clean.time[-1] + away])
+    touched = np.pad(clean.force, ((len(away), len(away)), (0, 0)), constant_values=PEAK)
+    longer = with_source(o, clean_force=replace(clean, time=time, force=touched))
+    short, long = (force_error(each, each.time) for each in (o, longer))
+    assert len(short.rest_values) > 5
+    np.testing.assert_array_equal(long.rest_values, short.rest_values)
+    np.testing.assert_array_equal(long.knots, short.knots)
+
+
+def test_long_rests_take_no_knots_from_the_push() -> None:
+    long = replace(BENCH, push=replace(BENCH.push, before=60.0, after=30.0))
+    found = [
+        force_error(seen(virtual_recording(bench, seed=0)), np.linspace(252.0, 255.0, 30)) for bench in (BENCH, long)
+    ]
+    steps = [error.knots[1] - error.knots[0] for error in found]
+    assert steps[1] == pytest.approx(steps[0], rel=0.1)
+    assert len(found[1].rest_values) >= len(found[0].rest_values)
+
+
+def test_what_the_knots_cannot_follow_is_noise_of_the_rests() -> None:
+    o, sd = seen(virtual_recording(BENCH, seed=0)), 0.05 * PEAK
+    clean = o.source.clean_force
+    assert clean is not None
+    noise = sd * np.random.default_rng(0).standard_normal(clean.force.shape)  # far faster than the knots
+    rough = replace(clean, force=clean.force + noise, cutoff=50.0)
+    error = force_error(with_source(o, clean_force=rough), o.time)
+    assert error.knots[1] - error.knots[0] > 0.05
+    assert error.rest_sd == pytest.approx(sd, rel=0.3)  # 18 rests more than the knots need
 
 
 def test_the_root_is_that_of_the_parts_added_up() -> None:

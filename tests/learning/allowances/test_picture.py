@@ -115,6 +115,7 @@ def test_what_turns_base_and_rest_turns_the_frame(camera: View, k1: float) -> No
     by_base = in_beam_frame(seen, base[0], np.array([[np.cos(base[0, 2]), np.sin(base[0, 2]), 0.0]]) + base[0]) - poses
     frames = np.arange(len(poses)) % 2 == 0
     one = camera_unknowns(replace(made, by_camera=by_base[..., None]), frames, int(frames.sum()) + 1)
+    assert one is not None
     moved = of_frame(camera, made, height, k1) - of_frame(camera, made, flat)
     np.testing.assert_allclose(one.basis[:-1, ..., 0], moved[frames], atol=3e-3 * np.max(np.abs(moved)))
     np.testing.assert_allclose(one.basis[-1, ..., 0], moved[0], atol=3e-3 * np.max(np.abs(moved)))
@@ -126,6 +127,7 @@ def test_without_rest_the_base_tag_gives_the_axis() -> None:
     by_base = np.random.default_rng(0).standard_normal((*made.xy.shape[:2], 3, 2))
     frames = np.ones(len(made.time), dtype=bool)
     one = camera_unknowns(replace(made, by_camera=by_base), frames, len(frames))
+    assert one is not None
     np.testing.assert_allclose(one.basis, by_base)
 
 
@@ -148,7 +150,9 @@ def test_a_rolling_shutter_sees_every_corner_at_its_own_instant(camera: View) ->
     poses = start + rate * made.time[:, None, None]
     made = with_source(replace(made, xy=poses[..., :2], angle=poses[..., 2]), view=camera)
     frames = np.arange(40) % 2 == 0
-    basis = rolling_shutter(made, frames, 21).basis[..., 0]
+    one = rolling_shutter(made, frames, 21)
+    assert one is not None
+    basis = one.basis[..., 0]
     assert np.all(basis[20] == 0.0)
 
     def corners(pose: Array) -> Array:

@@ -175,7 +175,8 @@ def test_scatter_of_repeated_fits_is_what_information_says() -> None:
     All errors are a fifth of the usual, where the scatter is linear in them; at their usual size it is 7 % wider.
     """
     usual = bench(placement_sd=1e-4, turn_sd=3e-3, curvature_sd=0.02)
-    names = ("tag_sd", "placement_sd", "turn_sd", "curvature_sd", "clamp_sd", "origin_sd", "scale_sd", "clock_sd")
+    own = ("tag_sd", "placement_sd", "turn_sd", "curvature_sd", "clamp_sd", "origin_sd", "scale_sd", "clock_sd")
+    names = (*own, "place_sd", "direction_sd")
     known = replace(usual, force=usual.force.times(0.2), **{name: 0.2 * getattr(usual, name) for name in names})
     push = TIP
     j, covariance = dense(known, push)

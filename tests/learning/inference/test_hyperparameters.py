@@ -108,7 +108,7 @@ def test_rows_by_force_are_the_rows_without_the_parameters() -> None:
     np.testing.assert_allclose(found.r, every.r, rtol=1e-8, atol=1e-10)
 
 
-def test_the_log_in_the_rests_shows_the_slow_error_but_for_a_tenth_of_the_coloured_noise() -> None:
+def test_the_log_in_the_rests_shows_the_slow_error_but_for_what_the_knots_cannot_follow() -> None:
     problem = evidence_of(1)[0].problem
     recording, rng = problem.recordings[0], np.random.default_rng(0)
     knots = len(recording.error.knots)
@@ -119,7 +119,7 @@ def test_the_log_in_the_rests_shows_the_slow_error_but_for_a_tenth_of_the_colour
 
     def minus_two_log(x: Array) -> float:
         slow = weights @ x[where].reshape(-1, 2)
-        return -2.0 * float(np.sum(norm(scale=0.1 * error.size).logpdf(values - slow)))
+        return -2.0 * float(np.sum(norm(scale=error.rest_sd).logpdf(values - slow)))
 
     one, other = 0.01 * rng.standard_normal((2, problem.layout.size))
     form = [x @ told.matrix @ x - 2.0 * told.vector @ x for x in (one, other)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from onebend.learning import optimizer
+from onebend.learning import linear, optimizer
 from onebend.learning.linear import (
     FitProblem,
     Hyperparameters,
@@ -48,7 +48,7 @@ class Rounds:
         self.noise = iter(noise)
         first = Hyperparameters(np.ones(1), 1.0, 1.0, 1.0, 1.0, tuple(RecordingNoise(9.0, 0.1) for _ in noise[0]))
         self.problem = FitProblem((), Layout(Spline(8), (), 0), 0.0, first)
-        patch.setattr(optimizer, "prior", lambda *_: None)
+        patch.setattr(linear, "prior", lambda *_: None)
         patch.setattr(optimizer, "_coarse", lambda problem, _: problem.expected)
         patch.setattr(optimizer, "descend", self.descend)
         patch.setattr(optimizer, "_new_hyperparameters", self.new_hyperparameters)

@@ -20,6 +20,7 @@ from onebend.learning.normal import (
     target_of,
 )
 from onebend.learning.parameters import LEVEL_SD, SLOPE_SD, Spline
+from tests.learning.bench import prior_precision
 
 S = np.linspace(0.0, 1.0, 101)
 
@@ -86,7 +87,7 @@ def test_precision_is_that_of_the_sum_of_the_parts() -> None:
     spline = Spline(7)
     variances = spline.variances(5.0, 0.4)
     covariance = (spline.parts * variances) @ spline.parts.T
-    np.testing.assert_allclose(spline.precision(5.0, 0.4) @ covariance, np.eye(7), atol=1e-8)
+    np.testing.assert_allclose(prior_precision(spline, 5.0, 0.4) @ covariance, np.eye(7), atol=1e-8)
 
 
 def test_the_finer_splines_hold_the_same_functions_and_what_a_step_may_be() -> None:
@@ -140,7 +141,7 @@ def test_one_step_among_even_pieces_is_found_and_the_rest_kept_even() -> None:
     steps = np.abs(found.steps)
     assert np.sort(steps)[-3:].sum() > 0.6 * steps.sum()
     assert 5 <= int(np.argmax(steps)) <= 9
-    even = np.linalg.inv(rows.T @ rows + spline.precision(8.0, 0.3))
+    even = np.linalg.inv(rows.T @ rows + prior_precision(spline, 8.0, 0.3))
     assert found.covariance[3, 3] < even[3, 3]
 
 

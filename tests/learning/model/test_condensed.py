@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from onebend.learning import optimizer, posterior
+from onebend.learning import condensed as condensing, posterior
 from onebend.learning.condensed import (
     EACH_PUSH,
     averaged,
@@ -38,7 +38,7 @@ def test_means_of_neighbours_give_the_posterior_of_all_frames(monkeypatch: pytes
     settings = replace(IDEAL, functions=16)
     few = fit([seen], 0.02, settings=settings)
     monkeypatch.setattr(posterior, "condensed", lambda o: o)
-    monkeypatch.setattr(optimizer, "worth", lambda o: len(o.time))
+    monkeypatch.setattr(condensing, "worth", lambda o: len(o.time))
     every = fit([seen], 0.02, settings=settings)
     counts = [int(np.sum(one.recordings[0].frames)) for one in (few, every)]
     assert counts[0] <= EACH_PUSH < counts[1] == len(seen.time)

@@ -139,7 +139,7 @@ def test_the_command_writes_what_export_takes(
     recording = type("Read", (), {"folder": tmp_path, "beam": film})()
     monkeypatch.setattr("onebend.cli.learning.read_recording", lambda _: recording)
     monkeypatch.setattr("onebend.cli.learning.observe", lambda *_, **__: film)
-    monkeypatch.setattr("onebend.cli.learning.learn_damping", lambda *_, **__: found)
+    monkeypatch.setattr("onebend.learning.swing.learn_damping", lambda *_, **__: found)
     first, second = tmp_path / "model.json", tmp_path / "with.json"
     first.write_text(model_text(StoredModel(HEAVY, None), written_by="a test"), encoding="utf-8")
     said = run("damp", first, "REC", "-o", second, "-q")

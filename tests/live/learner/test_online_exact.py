@@ -35,7 +35,7 @@ from onebend.live.posterior import (
 from onebend.live.replayed import replay
 from onebend.recording.force_noise import TimeSpans, covariance, fast_variance, with_one_more
 from onebend.records import DIRECTION_SD, SCALE_SD, TURN_SD, Array, ForceNoise, Observations
-from tests.learning.bench import MARKERS, SOFT, forces, observed
+from tests.learning.bench import MARKERS, SOFT, forces, observed, prior_precision
 from tests.live.streamed_recording import PLAIN, tags_of
 
 
@@ -110,7 +110,7 @@ def textbook(made: Observations, settings: OnlineSettings, at_rest: Array, v: Ar
     slow = max(level, noise) ** 2 + (0.3 * noise) ** 2 * np.minimum(t[:, None], t)
     fast = noise**2 * np.exp(-np.abs(t[:, None] - t) / settings.force.tau) + noise**2 * np.eye(count)
     half = np.linalg.inv(np.linalg.cholesky(slow + fast))
-    smoothness, p = np.linalg.cholesky(spline.precision(settings.roughness, settings.steps)).T, spline.count
+    smoothness, p = np.linalg.cholesky(prior_precision(spline, settings.roughness, settings.steps)).T, spline.count
     along, across, turn, clamp, origin = v[p : p + 3], v[p + 3 : p + 6], v[p + 6 : p + 9], v[p + 9], v[p + 10 : p + 12]
     farther, turned, error = v[p + 12], v[p + 13], v[p + 14 :].reshape(count, 2)
     beam = Beam(o.length, LogSpline(tuple(spline.knots), tuple(v[:p])), clamp_angle=float(clamp))
@@ -207,7 +207,7 @@ def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_no
     rows = np.concatenate([np.hstack([j, a.reshape(42, 14)]), np.eye(2, n + 14, n) / (0.05 * 0.02)])
     right = np.concatenate([z, keys.force[0] / (0.05 * 0.02)])
     precision = np.zeros((n + 14,) * 2)
-    of_log_k, sd = layout.spline.precision(2.0, 0.2), session.other_sd(1.0, 1.0)
+    of_log_k, sd = prior_precision(layout.spline, 2.0, 0.2), session.other_sd(1.0, 1.0)
     precision[:n, :n] = block_diag(of_log_k, np.diag(1.0 / sd**2))
     precision[n:, n:] = np.kron(np.linalg.inv(c), np.eye(2))
     dense = np.linalg.inv(rows.T @ rows + precision)

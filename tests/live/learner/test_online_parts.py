@@ -15,7 +15,7 @@ from onebend.learning.hyperparameters import SPREAD, at_nodes
 from onebend.learning.linear import Solved
 from onebend.learning.normal import Draws, InformationForm, drawn_chains, target_of
 from onebend.learning.parameters import Spline
-from onebend.live import smoother
+from onebend.live import posterior
 from onebend.live.hyperparameters import OnlineSettings, StiffnessChains
 from onebend.live.key_frames import LoadStages
 from onebend.live.learner import OnlineLearner
@@ -137,7 +137,7 @@ def test_no_frame_costs_much_more_than_others(monkeypatch: pytest.MonkeyPatch) -
         counts["linearised"] = len(chosen)
         return renew(self, keys, chosen, point)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(smoother, "model_of", made_of)
+    monkeypatch.setattr(posterior, "model_of", made_of)
     monkeypatch.setattr(Lineariser, "renew", renewed)
     made = observed(SOFT, forces(100), noise=NOISE, seed=2)
     learner = OnlineLearner(made.length, MARKERS, 0.06, settings=OnlineSettings(functions=8))

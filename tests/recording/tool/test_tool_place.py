@@ -10,7 +10,6 @@ import pytest
 
 from onebend.recording import tool
 from onebend.recording.entries import PushEntry
-from onebend.recording.signals import runs
 from onebend.recording.tool import (
     AT_REST,
     LOADED,
@@ -22,7 +21,6 @@ from onebend.recording.tool import (
     of_rows,
     place_of,
     rows_to_look_at,
-    runs_in_rows,
     shrunk,
     tool_checked,
     tool_remarks,
@@ -237,12 +235,8 @@ def test_a_tool_whose_force_leans_may_act_beside_its_end() -> None:
     assert checked.effects[1, 1] == pytest.approx(-checked.effects[2, 1])
 
 
-def test_medians_and_runs_are_those_of_the_plain_ways() -> None:
+def test_medians_are_those_of_numpy() -> None:
     rng = np.random.default_rng(5)
     for count in (7, 12):
         pictures = rng.integers(0, 255, (count, 9, 11)).astype(np.float32)
         np.testing.assert_array_equal(middle(pictures), np.median(pictures, axis=0))
-    mask = rng.random((20, 30)) < 0.6
-    mask[3], mask[4] = True, False
-    for row, found in zip(mask, runs_in_rows(mask), strict=True):
-        assert found == [(a, b) for a, b in runs(row).tolist()]

@@ -19,20 +19,11 @@ from onebend.beam.problem import GridMemory, has_mass, make_problem, share_farth
 from onebend.beam.setup import SetUp
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
+from onebend.learning import parameters
 from onebend.learning.allowances import Allowance, camera, outline_height
 from onebend.learning.fit_data import REST_MODES, FitData, fit_data, rested
 from onebend.learning.frames import at_frames, known_loads, whitening
 from onebend.learning.paper import solve_states
-from onebend.learning.parameters import (
-    NEEDS_MASS,
-    STATED_ERRORS,
-    Layout,
-    Spline,
-    inside,
-    layout_of,
-    weighs,
-    without_recording,
-)
 from onebend.learning.prediction import Prediction, predict
 from onebend.learning.static_poses import RESOLUTION
 from onebend.records import Array, IntArray, Observations, Readings
@@ -61,7 +52,7 @@ class Bench:
     beam: Beam
     stiffness: UncertainStiffness | None
     observations: Observations
-    layout: Layout
+    layout: parameters.Layout
     known: FitData  # what does not go with the frame
     seen: Array  # (T + 1, m, 3) m, m, rad: the tags; the last frame is that at rest
     whiten: Array  # (T + 1, m, 3, 3)
@@ -88,8 +79,7 @@ class Bench:
     @property
     def axes(self) -> Array:
         """(2, 2): takes a force from the recording's frame to that of the clamp, as its direction is known by now."""
-        cos, sin = np.cos(self.value("clamp")), np.sin(self.value("clamp"))
-        return np.array([[cos, sin], [-sin, cos]])
+        return parameters.log_axes(self.layout.get(self.mean, "clamp", 0)).T
 
     def axes_of_loads(self, n: int) -> Array:
         """(n, n): the same for a load."""
@@ -143,7 +133,7 @@ class Bench:
             rows, at = np.append(frames, frames[-1]), np.append(edge, 0.5 * edge[-1])
         gravity, known = np.vstack([o.gravity, np.zeros(2)])[rows], known_loads(o, np.ones(len(o.time), dtype=bool))
         loads = push(np.zeros((len(rows), 2)), at) + (known if known.size == 1 else rested(known).take(rows))
-        problem = make_problem(self.beam, loads + weight(gravity) if np.any(gravity) else loads, RESOLUTION)
+        problem = make_problem(self.beam, loads + weight(gravity), RESOLUTION)
         problem = problem.take(np.arange(len(frames))) if apart else problem
         if apart and len(frames) == 1:
             one = Grid(problem.grid.edges[0], problem.grid.order)
@@ -216,20 +206,22 @@ def bench_at(
     o = observations
     as_learned = tags_as_learned and stiffness is not None and same_tags(o, setup)
     tags = [str(i) for i in o.tag_id]
-    stated = {e.name: e.allowance([o], tags) if e.name in _STATED else e.with_sd(0.0, tags) for e in STATED_ERRORS}
-    stated["place"] = inside("place", "m", max(place_sd, _NONE), ("place",))
+    stated = {
+        e.name: e.allowance([o], tags) if e.name in _STATED else e.with_sd(0.0, tags) for e in parameters.STATED_ERRORS
+    }
+    stated["place"] = parameters.inside("place", "m", max(place_sd, _NONE), ("place",))
     if as_learned and setup is not None:  # the joint density below takes the place of what is stated
         known = {name: replace(a, prior_sd=np.ones(a.count)) for name, a in stated.items() if name in setup.columns}
         stated |= {name: a for name, a in known.items() if name in LEARNED}
     ways = np.zeros((0, 0)) if stiffness is None else ways_of(stiffness)
-    gain = inside("gain", "1", 0.0 if stiffness is None else stiffness.gain_sd, ("gain",))
-    logs = [inside("ways", "1", 1.0, ("",) * ways.shape[1]), gain]
+    gain = parameters.inside("gain", "1", 0.0 if stiffness is None else stiffness.gain_sd, ("gain",))
+    logs = [parameters.inside("ways", "1", 1.0, ("",) * ways.shape[1]), gain]
     logs = [replace(a, enters="log k") for a in logs if a.count and a.prior_sd[0] > 0.0]
     seen = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
     seen = np.concatenate([seen, np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=1)[None]])
     of_poses = _picture(o, seen) + _discrepancy(o, setup)
-    wanted = [(0, a) for a in (*stated.values(), *logs, *of_poses, *without_recording())]
-    layout = layout_of(Spline(0), wanted)
+    wanted = [(0, a) for a in (*stated.values(), *logs, *of_poses, *parameters.without_recording())]
+    layout = parameters.layout_of(parameters.Spline(0), wanted)
     blocks = [block.prior_sd for block in layout.blocks if block.start >= 0]
     root = np.diag(np.concatenate([np.zeros(0), *blocks]))
     covariance = np.concatenate([o.covariance, o.rest_covariance[None]])
@@ -254,7 +246,7 @@ def _without_frames(o: Observations) -> FitData:
     plain = replace(o, static=False, readings=Readings(), held=None, known_loads=None, gravity=0.0 * o.gravity)
     plain = replace(plain, source=replace(o.source, clean_force=None), force=0.0 * o.force, push_s=np.ones(len(o.time)))
     one = at_frames(plain, np.arange(len(o.time)) < 1)
-    return replace(fit_data(one, 0, np.ones(1, dtype=bool), Spline(4)), tags=np.arange(len(o.marker_s)))
+    return replace(fit_data(one, 0, np.ones(1, dtype=bool), parameters.Spline(4)), tags=np.arange(len(o.marker_s)))
 
 
 def _discrepancy(o: Observations, setup: SetUp | None) -> tuple[Allowance, ...]:
@@ -275,9 +267,8 @@ def same_tags(observations: Observations, setup: SetUp | None) -> bool:
 
 def _picture(o: Observations, seen: Array) -> tuple[Allowance, ...]:
     """The unknowns of the camera, its plane, the tags' heights over it and the outline's."""
-    out = [] if o.by_camera is None else [camera(o, np.ones(len(o.time), dtype=bool), len(seen))]
-    height = outline_height(o, seen)
-    return (*out, *([] if height is None else [height]))
+    found = camera(o, np.ones(len(o.time), dtype=bool), len(seen)), outline_height(o, seen)
+    return tuple(one for one in found if one is not None)
 
 
 def ways_of(stiffness: UncertainStiffness) -> Array:
@@ -322,8 +313,8 @@ def check_recording(beam: Beam, o: Observations) -> None:
         raise LearningError(
             f"{o.source.name}: the end of the beam is held; a force is told from the shape of a beam that is free there"
         )
-    if weighs(o) and not has_mass(beam):
-        raise LearningError(f"{o.source.name}: {NEEDS_MASS}")
+    if parameters.weighs(o) and not has_mass(beam):
+        raise LearningError(f"{o.source.name}: {parameters.NEEDS_MASS}")
 
 
 # The search begins at the load that balances the curvature from inverse kinematics (22), `k (q - q0) = (r(s_a) - r(s))

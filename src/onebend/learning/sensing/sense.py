@@ -15,21 +15,9 @@ from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.force_error import force_error
 from onebend.learning.outcome import Notice
-from onebend.learning.sensing import model
+from onebend.learning.sensing import forces, model
 from onebend.learning.sensing.contacts import edges_of, frames_at_edges, runs_of, within
 from onebend.learning.sensing.endings import Edge, bending, ended
-from onebend.learning.sensing.forces import (
-    TOUCH,
-    Around,
-    FrameModel,
-    Misfit,
-    Searched,
-    first,
-    read,
-    rested,
-    search,
-    touches,
-)
 from onebend.learning.sensing.model import Bench
 from onebend.learning.sensing.sensor import FEWEST, SensedForces, SensorCheck, check_sensor
 from onebend.options import NOT_NEGATIVE, POSITIVE, option
@@ -167,7 +155,7 @@ class Sensed:
     chi2: Array  # (T,) squared residuals in units of all noise
     touched: BoolArray  # (T,) zero force lies outside the 95 % region
     contacts: tuple[Touch, ...]
-    misfit: Misfit | None  # None: no frame shows a force
+    misfit: forces.Misfit | None  # None: no frame shows a force
     logged: Array  # (T, 2) N, as the recording's log says; NaN where it has none
     common: Array  # (T, 2, r) N, change of the force for one sd of each of the r errors that all frames share
     moment: ContactMoment | None = None  # where one was asked for
@@ -278,7 +266,7 @@ def sense(
     place = places_of(o, frames, settings) if settings.place == "known" else None
 
     try:
-        return _sensed(search(bench, frames, place, priors), frames, priors, settings)
+        return _sensed(forces.search(bench, frames, place, priors), frames, priors, settings)
     except np.linalg.LinAlgError as error:
         raise LearningError(
             f"{o.source.name}: the equations of the force cannot be solved ({error}). Check that the model is of this "
@@ -319,7 +307,7 @@ def bench_of(
     if settings.place == "unknown":
         place_sd = 0.0
     as_learned = settings.tags == "learned"
-    return rested(model.bench_at(beam, o, stiffness, setup, tags_as_learned=as_learned, place_sd=place_sd))
+    return forces.rested(model.bench_at(beam, o, stiffness, setup, tags_as_learned=as_learned, place_sd=place_sd))
 
 
 def places_of(o: Observations, frames: IntArray, settings: SenseSettings) -> Array:
@@ -335,7 +323,7 @@ def places_of(o: Observations, frames: IntArray, settings: SenseSettings) -> Arr
     return np.where(np.isfinite(said), said, np.nanmedian(said))
 
 
-def _sensed(searched: Searched, frames: IntArray, priors: Array, settings: SenseSettings) -> Sensed:
+def _sensed(searched: forces.Searched, frames: IntArray, priors: Array, settings: SenseSettings) -> Sensed:
     bench, found, other, prior = searched.bench, searched.found, searched.other_place, float(priors[0])
     n = len(priors)
     o, axes = bench.observations, bench.axes_of_loads(n)
@@ -343,7 +331,7 @@ def _sensed(searched: Searched, frames: IntArray, priors: Array, settings: Sense
     known: BoolArray = np.asarray(np.isfinite(found.force[:, 0]))
     covariance = np.where(known[:, None, None], covariance, np.nan)
     values, vectors = np.linalg.eigh(np.nan_to_num(covariance[:, :2, :2]))
-    touched = touches(found)
+    touched = forces.touches(found)
     contacts = _over_time(searched, frames, touched, priors, settings)
     place, place_sd = _places(searched, settings, known)
     share = np.einsum("tcc->tc", covariance) / priors**2
@@ -377,7 +365,7 @@ def _sensed(searched: Searched, frames: IntArray, priors: Array, settings: Sense
     return replace(out, remarks=sensed_notices(out, o, banded=bench.stiffness is not None))
 
 
-def _places(searched: Searched, settings: SenseSettings, known: BoolArray) -> tuple[Array, Array]:
+def _places(searched: forces.Searched, settings: SenseSettings, known: BoolArray) -> tuple[Array, Array]:
     """(T,) s of the force and one sd each; NaN where it was sought and not found."""
     bench, found = searched.bench, searched.found
     if settings.place == "unknown":
@@ -403,7 +391,7 @@ def _judged(out: Sensed, o: Observations, frames: IntArray) -> SensorCheck | Non
 
 
 def _over_time(
-    searched: Searched, frames: IntArray, touched: BoolArray, priors: Array, settings: SenseSettings
+    searched: forces.Searched, frames: IntArray, touched: BoolArray, priors: Array, settings: SenseSettings
 ) -> tuple[Touch, ...]:
     """When each contact began and ended."""
     runs, time, prior = runs_of(touched), searched.bench.observations.time[frames], float(priors[0])
@@ -412,7 +400,7 @@ def _over_time(
     some = frames_at_edges(runs, len(frames))
     found, inside, bench = searched.found.take(some), within(runs, len(frames))[some], searched.bench
     force = np.where(inside[:, None] | np.isnan(found.force), found.force, 0.0)
-    readings = read(bench, frames[some], force, found.place, priors, seek_place=settings.place == "unknown")
+    readings = forces.read(bench, frames[some], force, found.place, priors, seek_place=settings.place == "unknown")
     every = ended(bending(bench.beam, bench.observations).take(frames), runs, readings.widened)
     both = zip(every, edges_of(readings, some, every, len(frames), prior), strict=True)
     return joined([Touch(float(time[c.first]), float(time[c.last]), begin, end) for c, (begin, end) in both])
@@ -464,7 +452,7 @@ class OnlineSense:
         every = np.arange(len(o.time), dtype=np.int64)
         self._place = None if settings.place == "unknown" else float(places_of(o, every, settings)[0])
         self._force_sd = priors_of(beam, settings)[:2]
-        self._last: Around | None = None  # the frame before
+        self._last: forces.Around | None = None  # the frame before
 
     @one_blas_thread
     def add(self, time: float, xy: Array, angle: Array, covariance: Array) -> LiveForce:
@@ -475,12 +463,12 @@ class OnlineSense:
             return _no_force(time, np.nan)
         place = np.full(1, np.nan if self._place is None else self._place)
         bench = self._bench.showing(seen, covariance[None])
-        frame = FrameModel(bench, _ONE, place, self._force_sd, self._place is None)
+        frame = forces.FrameModel(bench, _ONE, place, self._force_sd, self._place is None)
         most, found = _LOST * int(np.sum(np.isfinite(seen))), None
         if self._last is not None:
             found, around = frame.followed(self._last.showing(bench.seen[:1], bench.whiten[:1]))
         if found is None or not found.chi2[0] <= most or not np.isfinite(found.force).all():
-            begun, _ = first(bench, _ONE, None if frame.seek_place else place, self._force_sd)
+            begun, _ = forces.first(bench, _ONE, None if frame.seek_place else place, self._force_sd)
             own = np.column_stack([np.nan_to_num(begun.force), begun.place])[:, : len(frame.sd)]
             again, anew = frame.searched(frame.begun(own))
             found, around = (again, anew) if found is None or again.chi2[0] < found.chi2[0] else (found, around)
@@ -491,7 +479,7 @@ class OnlineSense:
         self._last, axes = around, bench.axes
         force, part = axes @ found.force[0], axes @ found.covariance[0, :2, :2] @ axes.T
         sd = np.sqrt(found.covariance[0, 2, 2]) if frame.seek_place else bench.place_sd / bench.observations.length
-        touched = bool(force @ np.linalg.solve(part, force) > TOUCH)
+        touched = bool(force @ np.linalg.solve(part, force) > forces.TOUCH)
         return LiveForce(time, force, part, float(found.place[0]), float(sd), touched, chi2)
 
 

@@ -17,6 +17,7 @@ from scipy.optimize import minimize
 
 from onebend.learning.force_error import ForceError
 from onebend.learning.hyperparameters import SPREAD
+from onebend.learning.parameters import log_axes
 from onebend.records import Array, CleanForce, IntArray
 
 _ROUNDS, _CHOICES = 6, 2  # of Gauss-Newton, and of sizes, each about the last numbers
@@ -142,7 +143,7 @@ class _Check:
         before = self.smooth.covariance + common @ common.T
         whole = before.copy()
         self._add_log(whole, sizes)
-        corrected = (self.logged - x[3:5] - self.later[:, None] * x[5:7]) @ _turn(x[1]) / x[0]
+        corrected = (self.logged - x[3:5] - self.later[:, None] * x[5:7]) @ log_axes(x[1:2]) / x[0]
         pull = np.linalg.solve(whole, (corrected - self.smooth.force).ravel())
         self.seen = self.smooth.force + (before @ pull).reshape(-1, 2)
 
@@ -201,23 +202,23 @@ class _Check:
 
     def noise(self, x: Array, sizes: Array) -> float:
         """N, RMS of each component of the log's own error, as likely as all errors are."""
-        left = self._away(x) - x[0] * self._off(x, sizes) @ _turn(x[1]).T
+        left = self._away(x) - x[0] * self._off(x, sizes) @ log_axes(x[1:2]).T
         return float(np.sqrt(np.mean(left**2)))
 
     def _off(self, x: Array, sizes: Array) -> Array:
         """(T, 2) N, what is to be added to the force that is told, as likely as all errors are."""
-        pull = np.linalg.solve(self._covariance(x, sizes), self._away(x).ravel()).reshape(-1, 2) @ _turn(x[1])
+        pull = np.linalg.solve(self._covariance(x, sizes), self._away(x).ravel()).reshape(-1, 2) @ log_axes(x[1:2])
         shared = np.einsum("tcr,tc->r", self.common, pull)
         return np.asarray((self.own @ pull[..., None])[..., 0] + self.common @ shared)
 
     def _away(self, x: Array) -> Array:
         """(T, 2) N, the log less what the seven numbers make of the force that is told."""
         moved = self.force - x[2] * self.rate
-        return np.asarray(self.logged - (x[0] * moved @ _turn(x[1]).T + x[3:5] + self.later[:, None] * x[5:7]))
+        return np.asarray(self.logged - (x[0] * moved @ log_axes(x[1:2]).T + x[3:5] + self.later[:, None] * x[5:7]))
 
     def _covariance(self, x: Array, sizes: Array) -> Array:
         """(2 T, 2 T) N^2 of all errors in that, in the log's axes; as large as in a log whose gain is right."""
-        turn, count = _turn(x[1]), len(self.force)
+        turn, count = log_axes(x[1:2]), len(self.force)
         common = (turn @ self.common).reshape(2 * count, -1)
         whole = common @ common.T
         blocks, every = whole.reshape(count, 2, count, 2), np.arange(count)
@@ -237,7 +238,7 @@ class _Check:
 
     def _slopes(self, x: Array) -> Array:
         """(T, 2, 7) of the log with the seven numbers."""
-        turn, turned = _turn(x[1]), _turn(x[1] + 0.5 * np.pi)
+        turn, turned = log_axes(x[1:2]), log_axes(x[1:2] + 0.5 * np.pi)
         moved = self.seen - x[2] * self.rate
         slopes = np.zeros((len(moved), 2, len(x)))
         slopes[..., 0], slopes[..., 1] = moved @ turn.T, x[0] * moved @ turned.T
@@ -277,7 +278,3 @@ def _smooth(time: Array, force: Array, common: Array, covariance: Array) -> _Smo
             smooth = (before @ pull).reshape(count, 2, -1)
             left = before - before @ cho_solve(factor, before)
     return _Smooth(smooth[..., 0], rate.reshape(count, 2), left, smooth[..., 1:])
-
-
-def _turn(angle: float) -> Array:
-    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

@@ -26,7 +26,7 @@ from onebend.records import Array, Observations
 from onebend.report import confidence, sentences
 from onebend.report.pictures import FilmStrip
 from onebend.report.sentences import all_remarks, millimetres, posture_words, significant, words
-from onebend.report.verdict import Verdict, verdict_of
+from onebend.report.verdict import verdict_of
 from onebend.text_files import one_line, to_json
 
 COMMON = "onebend.report.page"
@@ -79,7 +79,9 @@ def cards(findings: Run) -> list[dict[str, str]]:
     recording = findings.recordings[0]
     rows = [_stiffness_card(findings), *_modulus_card(findings)]
     if findings.posterior is not None:
-        rows += [band_card(findings.posterior.stiffness), verdict_card(verdict_of(findings))]
+        verdict = verdict_of(findings)
+        rows.append(band_card(findings.posterior.stiffness))
+        rows.append({"what": "verdict", "value": verdict.grade, "note": verdict.rests_on})
     rows.append(_training_card(findings))
     seen = [one for one in findings.validations if np.isfinite(one.rms).any()]  # not of frequencies alone
     if seen:
@@ -99,10 +101,6 @@ def cards(findings: Run) -> list[dict[str, str]]:
 def _noise_of(validation: Comparison) -> str:
     noise = validation.sensor_rms[int(np.argmax(np.nan_to_num(validation.rms)))]
     return f"; force noise {millimetres(float(noise))} mm" if np.isfinite(noise) and noise > 0.0 else ""
-
-
-def verdict_card(verdict: Verdict) -> dict[str, str]:
-    return {"what": "verdict", "value": verdict.grade, "note": verdict.rests_on}
 
 
 def _training_card(findings: Run) -> dict[str, str]:
@@ -208,7 +206,7 @@ def _bend(findings: Run) -> dict[str, Any] | None:
     forces = np.nan_to_num(np.concatenate([one.force for one in findings.trainings]))
     hardest = forces[np.argmax(np.linalg.norm(forces, axis=1))]
     largest = float(np.linalg.norm(hardest))
-    gravity = _gravity(first)
+    gravity = np.nan_to_num(np.mean(first.gravity, axis=0))
     mass = np.asarray(beam.mass_per_length(s))
     # without its own load: one that turns the tip by about half a radian
     usual = float(1.0 / np.mean((1.0 - s) ** 2 / k) / beam.length)
@@ -243,11 +241,6 @@ def _film(film: FilmStrip) -> dict[str, Any]:
         for one in film.frames
     ]
     return {"width": film.width, "height": film.height, "frames": frames}
-
-
-def _gravity(observations: Observations) -> Array:
-    """(2,) m/s^2 in the plane, mean over the recording."""
-    return np.asarray(np.nan_to_num(np.mean(observations.gravity, axis=0)))
 
 
 def _short(values: Array) -> list[float]:
