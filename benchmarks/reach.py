@@ -65,10 +65,10 @@ def paper(beams: int, *, seed: int, within: float) -> Tally:
         force, claimed = np.zeros_like(one.forces), np.zeros(len(one.forces), dtype=bool)
         for i, goal in enumerate(one.goals):
             began = time.process_time()
-            found = paper_force(one.beam, goal, one.push_s, one.point_s)
+            found, iterations, claimed[i] = paper_force(one.beam, goal, one.push_s, one.point_s)
             tally.seconds.append(time.process_time() - began)
-            tally.iterations.append(found.iterations)
-            force[i], claimed[i] = found.force if found.converged else 0.0, found.converged
+            tally.iterations.append(iterations)
+            force[i] = found if claimed[i] else 0.0
         _judge(tally, one, force, claimed, within)
     return tally
 

@@ -406,17 +406,11 @@ class PaperSettings:
     most: int = 500  # iterations
 
 
-@dataclass(frozen=True)
-class PaperForce:
-    force: Array  # (2,) N
-    iterations: int
-    converged: bool  # the modal point is within the tolerance
-
-
 def paper_force(
     beam: Beam, goal: Array, push_s: float, point_s: float, settings: PaperSettings = PaperSettings()
-) -> PaperForce:
-    """Algorithm 1 from zero force, for a goal (2,) m."""
+) -> tuple[Array, int, bool]:
+    """Algorithm 1 from zero force, for a goal (2,) m: the force (2,) N, the iterations, and whether the modal point is
+    within the tolerance."""
     modes = Modes(settings.n)
     grid = make_grid(beam.stiffness.jumps, order=30)
     phi, weights = modes.curvature(grid.nodes), grid.weights
@@ -430,13 +424,13 @@ def paper_force(
         theta = np.asarray(rest + flexible @ (push.T @ force), dtype=float)
         away = goal - positions(at, theta[None], beam.clamp_angle)[0, 1]
         if np.linalg.norm(away) <= settings.tolerance:
-            return PaperForce(force, turn, True)
+            return force, turn, True
         both = jacobians(at, theta[None], beam.clamp_angle)[0]
         step = np.linalg.pinv(both[1] @ flexible @ both[0].T, rcond=settings.cutoff) @ away
         force = force + settings.gamma * step
         if not np.all(np.isfinite(force)) or np.max(np.abs(theta)) > 1e3:
-            return PaperForce(np.nan_to_num(force), turn, False)
-    return PaperForce(force, settings.most, False)
+            return np.nan_to_num(force), turn, False
+    return force, settings.most, False
 
 
 FARTHEST_GOAL = 1e9  # m or rad

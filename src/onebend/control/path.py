@@ -38,7 +38,7 @@ from onebend.control.shape import (
 from onebend.errors import ControlError, MechanicsError
 from onebend.options import POSITIVE, option
 from onebend.progress import one_blas_thread
-from onebend.records import Array, BoolArray, IntArray
+from onebend.records import Array, BoolArray
 
 _LAST_STEP = 1e-10  # rad
 _MOST_ITERATIONS = 6
@@ -54,9 +54,6 @@ class PathSamples:
     u: Array  # (T, m) N, N m
     multipliers: Array  # (T, Q)
 
-    def take(self, chosen: IntArray) -> PathSamples:
-        return PathSamples(self.q[chosen], self.u[chosen], self.multipliers[chosen])
-
 
 def settle(
     actuators: Actuators, near: PathSamples, targets: Targets, xy: Array, angle: Array, arm: float
@@ -64,20 +61,22 @@ def settle(
     """The closest stable shapes to targets xy (T, N, 2), angle (T, N), from `near`, and whether they were found.
     Newton's method on the optimality conditions, without bounds."""
     q, u, prices = near.q.copy(), near.u.copy(), near.multipliers.copy()
-    settled, b, out = np.zeros(len(q), dtype=bool), actuators.problem.to_nodes, PathSamples(q, u, prices)
+    settled, b = np.zeros(len(q), dtype=bool), actuators.problem.to_nodes
     for first in range(0, len(q), _BATCH):
         batch = np.arange(first, min(first + _BATCH, len(q)))
         for _ in range(_MOST_ITERATIONS):
             todo = batch[~settled[batch]]
             if todo.size == 0:
                 break
-            dq, du, prices[todo] = _step(actuators, out.take(todo), targets, xy[todo], angle[todo], arm)
+            dq, du, prices[todo] = _step(
+                actuators, PathSamples(q[todo], u[todo], prices[todo]), targets, xy[todo], angle[todo], arm
+            )
             q[todo], u[todo] = q[todo] + dq, u[todo] + du
             settled[todo] = np.max(np.abs(dq @ b.T), axis=1) < _LAST_STEP
         found = batch[settled[batch] & (np.max(np.abs((q[batch] - near.q[batch]) @ b.T), axis=1) < _LARGEST_TURN)]
         settled[batch] = False
         settled[found] = stable(actuators, q[found], u[found])
-    return out, settled
+    return PathSamples(q, u, prices), settled
 
 
 def stable(actuators: Actuators, q: Array, u: Array) -> BoolArray:
@@ -154,7 +153,7 @@ def _check(result: DescentResult, time: float) -> None:
 
 _GOALS_PER_STEP = 24
 _SAME_PLACE = 1e-5  # of L
-_PASSES = 3  # of a tag's offset, which turns with the beam: each leaves a hundredth of the error
+_PASSES = 4  # of a tag's offset, which turns with the beam: each leaves a hundredth of the error
 
 
 @one_blas_thread
@@ -210,12 +209,12 @@ def _force_for(
     learned: tuple[Beam, UncertainStiffness, SetUp] | None,
 ) -> tuple[Array, bool]:
     """(2,) N on the beam for the one point of the targets, and whether it meets the goal on this beam."""
-    (point_s,), (tag,), (offset,) = targets.s.tolist(), targets.tag.tolist(), targets.offset @ np.array([1.0, 1.0j])
-    result = reach(beam, goal, push_s=push_s, point_s=point_s, settings=settings)
-    for _ in range(_PASSES if offset else 0):
-        away = offset * np.exp(1j * result.reached[2])
-        axis = goal - np.array([away.real, away.imag])
+    (point_s,), (tag,), [(along, across)], angle = targets.s.tolist(), targets.tag.tolist(), targets.offset, 0.0
+    for _ in range(_PASSES if along or across else 1):
+        cos, sin = np.cos(angle), np.sin(angle)
+        axis = goal - np.array([cos * along - sin * across, sin * along + cos * across])
         result = reach(beam, axis, push_s=push_s, point_s=point_s, settings=settings)
+        angle = result.reached[2]
     if learned is not None and (not result.converged or learned[-1].beyond(result.force)):
         which = tag if tag >= 0 else None
         near = reach_in_setup(*learned, goal, push_s=push_s, point_s=point_s, tag=which, settings=settings)

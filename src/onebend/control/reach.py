@@ -26,7 +26,6 @@ from onebend.control.loaded_beam import (
     LARGEST_STEP_TURN,
     EquilibriumPath,
     LoadedState,
-    NewtonResult,
     PushedBeam,
     ReachSettings,
     broken_bound,
@@ -84,8 +83,8 @@ def known_equilibria(pushed: PushedBeam) -> KnownEquilibria:
     return pushed.beam.memory.once(key, lambda: _sampled(pushed))
 
 
-def step_to(pushed: PushedBeam, goal: Array) -> tuple[LoadedState, NewtonResult] | None:
-    """The nearest known equilibrium, and one step from it to the goal (2,); None if that fails."""
+def step_to(pushed: PushedBeam, goal: Array) -> ReachCandidate | None:
+    """From the nearest known equilibrium one step to the goal (2,); None if that fails."""
     known = known_equilibria(pushed)
     away = goal - known.places
     i = int(np.argmin(away[:, 0] ** 2 + away[:, 1] ** 2 + known.bent))
@@ -99,7 +98,8 @@ def step_to(pushed: PushedBeam, goal: Array) -> tuple[LoadedState, NewtonResult]
     result = solve_goal(pushed, ahead, goal, most=8, trust=trusted(turn))
     if not (result.converged and result.positive):
         return None
-    return LoadedState(known.q[i], np.array([*known.force[i], 0.0])), result
+    near = LoadedState(known.q[i], np.array([*known.force[i], 0.0]))
+    return ReachCandidate(pushed, (pushed.start, near, result.state), result.iterations, known=True)
 
 
 def _sampled(pushed: PushedBeam) -> KnownEquilibria:
@@ -162,19 +162,6 @@ def search(
     return spare
 
 
-def solutions(pushed: PushedBeam, goal: Array, loads: int) -> Iterator[tuple[LoadedState, int]]:
-    """Stable equilibria on the goal from known ones in turn, and the iterations so far."""
-    iterations, before = 0, list[LoadedState]()
-    for begin in known_equilibria(pushed).near(goal[:2], _MOST_STARTS):
-        result = solve_goal(pushed, begin, goal, loads)
-        iterations += result.iterations
-        if not (result.converged and pushed.stable(result.state)):
-            continue
-        if not any(pushed.same(result.state, known) for known in before):
-            before.append(result.state)
-            yield result.state, iterations
-
-
 def from_rest(pushed: PushedBeam, state: LoadedState) -> EquilibriumPath | None:
     """The way under a proportional load; None if it ends elsewhere."""
     trail = trace(pushed, state.load)
@@ -205,11 +192,14 @@ def _tries(
     if len(goal) == settings.loads == 2:
         step = step_to(pushed, goal)
         if step is not None:
-            yield ReachCandidate(pushed, (pushed.start, step[0], step[1].state), step[1].iterations, known=True)
-    for state, count in solutions(pushed, goal, settings.loads):
-        trail = from_rest(pushed, state)
+            yield step
+    iterations = 0
+    for begin in known_equilibria(pushed).near(goal[:2], _MOST_STARTS):
+        result = solve_goal(pushed, begin, goal, settings.loads)
+        iterations += result.iterations
+        trail = from_rest(pushed, result.state) if result.converged and pushed.stable(result.state) else None
         if trail is not None:
-            yield ReachCandidate(pushed, trail.states, count)
+            yield ReachCandidate(pushed, trail.states, iterations)
     for near in samples().samples_near(goal[:2], _MOST_SAMPLES):
         yield from _led(pushed, trace(pushed, near.load), goal, settings.loads)
 
@@ -426,7 +416,7 @@ def _why(pushed: PushedBeam, goal: Array, settings: ReachSettings, known: str, n
 def _instead(pushed: PushedBeam, settings: ReachSettings, nearest: NearestPoint) -> str:
     """The nearest point without its angle."""
     at, turn = 1e3 * nearest.point, math.degrees(math.atan2(nearest.force[1], nearest.force[0]))
-    needs = f"it needs {nearest.size:.3g} N at {turn:.4g} deg"
+    needs = f"it needs {np.hypot(*nearest.force):.3g} N at {turn:.4g} deg"
     if settings.moment:
         there = math.degrees(float(pushed.pose(nearest.states[-1].q)[2]))
         needs += f" and no moment; the tangent is then at {there:.4g} deg"
@@ -464,16 +454,16 @@ def _result(
 
 def _by_paper(pushed: PushedBeam, goal: Array, settings: ReachSettings) -> Reach:
     """Algorithm 1, and the exact beam under its force."""
-    force = paper_force(pushed.beam, goal, pushed.push_s, pushed.point_s, settings.paper)
-    trail, why = trace(pushed, np.append(force.force, 0.0)), ""
+    force, iterations, settled = paper_force(pushed.beam, goal, pushed.push_s, pushed.point_s, settings.paper)
+    trail, why = trace(pushed, np.append(force, 0.0)), ""
     off = float(np.linalg.norm(pushed.pose(trail.states[-1].q)[:2] - goal))
-    if not force.converged:
-        why = f"the paper's iteration did not settle within {force.iterations} turns"
+    if not settled:
+        why = f"the paper's iteration did not settle within {iterations} turns"
     elif not trail.arrived:
         why = "the paper's iteration ends at a force under which the exact beam has no stable shape on its branch"
     elif off > 2.0 * settings.paper.tolerance:
         why = f"the paper's iteration settled, but under its force the exact beam is {1e3 * off:.3g} mm off"
-    return _result(ReachCandidate(pushed, trail.states, force.iterations), goal, settings, why)
+    return _result(ReachCandidate(pushed, trail.states, iterations), goal, settings, why)
 
 
 SURE = 0.95  # of the ellipse

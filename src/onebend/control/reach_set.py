@@ -39,11 +39,6 @@ class NearestPoint:
     distance: float  # m, to the goal
     states: tuple[loaded_beam.LoadedState, ...]  # equilibria from rest to it
 
-    @property
-    def size(self) -> float:
-        """N."""
-        return float(np.hypot(*self.force))
-
 
 @dataclass(frozen=True)
 class ReachableSet:
@@ -119,8 +114,7 @@ def reachable(
     """
     if not (max_force > 0.0 and np.isfinite(max_force)):
         raise ControlError(f"the largest force must be positive, got {max_force:g} N")
-    if max_curvature is not None and not max_curvature > 0.0:
-        raise ControlError(f"the largest curvature must be positive, got {max_curvature:g} 1/m")
+    ReachSettings(max_curvature=max_curvature)  # checked
     if directions < 3 or sizes < 1:
         raise ControlError(f"at least 3 directions and 1 size are sampled, got {directions} and {sizes}")
     x, y = np.asarray(gravity, dtype=float).tolist()

@@ -237,16 +237,8 @@ _BOUND_TOLERANCE = 1e-12  # of a bound
 _FLAT_TO_NEWTON = 1e-11  # of the cost's largest curvature
 
 
-@dataclass(frozen=True)
-class QuadraticModel:
-    """Cost near an equilibrium in its tangent plane: `slope . z + z H z / 2`."""
-
-    slope: Array  # (m,)
-    hessian: Array  # (m, m)
-
-
-def model_of(state: BeamState, residuals: TargetResiduals) -> QuadraticModel:
-    """Half the sum of squares, to second order along the surface.
+def model_of(state: BeamState, residuals: TargetResiduals) -> tuple[Array, Array]:
+    """Slope (m,) and Hessian (m, m) of half the sum of squares in the tangent plane, to second order along the surface.
 
     With the multipliers l, `T l = -r_q^T r` (and `A l = 0` with a grip, least squares), the Hessian of
     `|r|^2 / 2 + l . g` on the tangent plane.
@@ -258,7 +250,7 @@ def model_of(state: BeamState, residuals: TargetResiduals) -> QuadraticModel:
     flow, seen = b @ dq, residuals.jacobian[0] @ dq  # (Q, m) turns
     bent = flow.T @ ((residuals.curvature_term[0] + across[0] * turned)[:, None] * flow)
     coupled = du.T @ control_coupling(state.actuators, solved.alpha, turned[None])[0] @ flow
-    return QuadraticModel(seen.T @ residuals.value[0], seen.T @ seen + bent + coupled + coupled.T)
+    return seen.T @ residuals.value[0], seen.T @ seen + bent + coupled + coupled.T
 
 
 def multipliers(state: BeamState, residuals: TargetResiduals) -> Array:
@@ -365,22 +357,20 @@ def descend(start: BeamState, targets: Targets, arm: float, settings: DescentSet
     bounds, damping = start.actuators.bounds, settings.damping
     multipliers, barred, price = np.zeros(len(bounds)), False, 0.0
     for _ in range(settings.most):
-        model = model_of(state, residuals)
-        size = float(np.trace(np.abs(model.hessian))) + 1e-300
-        z, multipliers = bounded_step(
-            model.slope, convex(model.hessian, damping * size), state.u, state.plane[1], bounds
-        )
+        slope, hessian = model_of(state, residuals)
+        size = float(np.trace(np.abs(hessian))) + 1e-300
+        z, multipliers = bounded_step(slope, convex(hessian, damping * size), state.u, state.plane[1], bounds)
         price = max(price, 2.0 * float(np.sum(multipliers * [bound.most**2 for bound in bounds])))
         z = z * min(1.0, settings.stride / max(_turn(state, z), 0.5 * float(np.linalg.norm(z)), 1e-300))
         turn = _turn(state, z)
-        if turn < _LAST_STEP and (damping < 1e-6 or np.linalg.norm(model.slope) < 1e-14):
+        if turn < _LAST_STEP and (damping < 1e-6 or np.linalg.norm(slope) < 1e-14):
             return DescentResult(state, residuals, multipliers, True, barred)
         after = next_state(state, z, turn * (1.0 + _RETURN_SHARE) + 1e-3)
         stable = after is not None and after.margin > settings.least_margin
         if after is not None and stable:
             new_residuals = target_residuals(after.solved, targets, arm)
             gain = _merit(state, residuals, price) - _merit(after, new_residuals, price)
-            promised = -float(model.slope @ z + 0.5 * z @ model.hessian @ z)
+            promised = -float(slope @ z + 0.5 * z @ hessian @ z)
             if gain > 1e-4 * abs(promised) or (
                 turn < _BELOW_ROUNDING and gain > -1e-9 * _merit(state, residuals, price) - 1e-28
             ):
@@ -593,7 +583,7 @@ def _result(
 ) -> ShapeResult:
     state = result.state
     residuals = target_residuals(state.solved, targets, arm)
-    values = np.abs(np.linalg.eigvalsh(model_of(state, residuals).hessian))
+    values = np.abs(np.linalg.eigvalsh(model_of(state, residuals)[1]))
     limits = tuple(
         bound.name
         for bound, price in zip(state.actuators.bounds, result.multipliers, strict=True)

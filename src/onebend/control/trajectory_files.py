@@ -7,7 +7,6 @@ the tangent, z out of the plane. Times count from the path's start.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,22 +20,10 @@ FRAME = "beam_base"  # origin at the base tag, x along the undeformed beam, y to
 JOINT = "gripper"
 
 
-@dataclass(frozen=True)
-class WrenchTrack:
-    """An actuator's load in time."""
-
-    topic: str
-    force: Array  # (T, 2) N
-    moment: Array  # (T,) N m
-
-
-def wrench_tracks(path: FollowedPath) -> tuple[WrenchTrack, ...]:
-    """Pushers, then the gripper."""
-    zero = np.zeros(len(path.time))
-    out = [WrenchTrack(f"/onebend/push_{i + 1}/wrench", path.forces[:, i], zero) for i in range(path.forces.shape[1])]
-    if path.wrench is not None:
-        out.append(WrenchTrack("/onebend/gripper/wrench", path.wrench[:, :2], path.wrench[:, 2]))
-    return tuple(out)
+def wrenches(path: FollowedPath) -> dict[str, Array]:
+    """(T, 3) N, N, N m of each pusher, then of the gripper."""
+    out = {f"push_{i + 1}": np.pad(path.forces[:, i], ((0, 0), (0, 1))) for i in range(path.forces.shape[1])}
+    return out if path.wrench is None else out | {"gripper": path.wrench}
 
 
 def columns(path: FollowedPath) -> dict[str, Array]:
@@ -72,20 +59,20 @@ def trajectory_message(path: FollowedPath, *, frame: str = FRAME) -> dict[str, A
     return {"header": header(0.0, frame), "joint_names": [JOINT], "points": points}
 
 
-def wrench_messages(path: FollowedPath, track: WrenchTrack, *, frame: str = FRAME) -> Iterator[dict[str, Any]]:
-    """One geometry_msgs/WrenchStamped per sample, in plain data."""
-    for seconds, (x, y), moment in zip(path.time, track.force, track.moment, strict=True):
-        wrench = {"force": vector(x, y, 0.0), "torque": vector(0.0, 0.0, moment)}
-        yield {"header": header(seconds, frame), "wrench": wrench}
+def wrench_messages(time: Array, wrench: Array, *, frame: str = FRAME) -> Iterator[dict[str, Any]]:
+    """One geometry_msgs/WrenchStamped per sample of a wrench (T, 3), in plain data."""
+    for seconds, (x, y, moment) in zip(time, wrench, strict=True):
+        stamped = {"force": vector(x, y, 0.0), "torque": vector(0.0, 0.0, moment)}
+        yield {"header": header(seconds, frame), "wrench": stamped}
 
 
 def write_yaml(folder: Path, path: FollowedPath, *, frame: str = FRAME) -> list[str]:
     """YAML (as JSON, which is YAML too) for `ros2 topic pub`; returns file names. The trajectory is one message,
     wrenches one per sample, with `---` between."""
     texts = {} if path.wrench is None else {"gripper_trajectory.yaml": to_json(trajectory_message(path, frame=frame))}
-    for track in wrench_tracks(path):
-        messages = (to_json(message, readable=False) for message in wrench_messages(path, track, frame=frame))
-        texts[track.topic.split("/")[2] + "_wrench.yaml"] = "\n---\n".join(messages)
+    for name, wrench in wrenches(path).items():
+        messages = (to_json(message, readable=False) for message in wrench_messages(path.time, wrench, frame=frame))
+        texts[f"{name}_wrench.yaml"] = "\n---\n".join(messages)
     for name, text in texts.items():
         (folder / name).write_text(f"{text}\n", encoding="utf-8")
     return list(texts)

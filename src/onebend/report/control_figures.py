@@ -56,7 +56,7 @@ def draw_reach(axes: Axes, result: Reach | ReachInSetUp, error: PredictedError |
 
 
 def _outcome(result: Reach | ReachInSetUp) -> str:
-    where = f"the point s = {result.point_s:.3g}"
+    where = f"the point s = {result.point_s:.3g}" if result.tag is None else f"the centre of tag {result.tag}"
     return f"{where} is on its goal" if result.converged else f"{where} is {MM * result.error:.3g} mm from its goal"
 
 
