@@ -131,7 +131,7 @@ def fit_offset(
     spread = prior_spread(low, high, prior)
     doubt = min(spread, uncertainty) if uncertainty < ROUGHLY else spread if np.isfinite(uncertainty) else np.inf
     unsettled = ClockOffset(offset=stated, sd=doubt, stated=stated, found=False)
-    if not np.isfinite(film.rate) or high <= low:
+    if not 0.0 < film.rate < np.inf or high <= low:
         return ClockFit(unsettled, None, (Remark("note", "Nothing moves in the film: the clocks cannot be matched."),))
     match = None if rows is None else matched(film, rows, (low, high), prior, settings)
     if match is None:

@@ -84,7 +84,7 @@ def compared_rows(
     film: FilmFeatures, log: ForceLog, within: tuple[float, float], settings: ClockSettings
 ) -> BinnedLog | None:
     """The log's rows that the film may cover at offsets `within` [s]; None where they are too few, or nothing moves."""
-    if not np.isfinite(film.rate):
+    if not 0.0 < film.rate < np.inf:
         return None
     span = (film.time[0] + within[0], film.time[-1] + within[1])
     highest_rate = settings.most_rows / float(np.ptp(film.time) + settings.hold)

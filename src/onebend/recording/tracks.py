@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
 from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
+from scipy.ndimage import maximum_filter1d, median_filter
 
 from onebend.errors import ObservationError, RecordingError
 from onebend.recording import camera, force, outline, signals, stated, tables
@@ -263,6 +264,8 @@ def plane_remarks(plane: Plane, points: Array) -> tuple[Remark, ...]:
 
 
 FARTHEST_M = 1e6  # m or rad: beyond this nothing is tracked
+LEAST_JUMP = 0.005  # of the beam: what is nearer to its place does no harm
+JUMP = 6.0  # times the usual distance to the points beside and half the motion from frame to frame
 LEAST_SD, LEAST_ANGLE_SD = 1e-6, 1e-4  # m and rad, least noise of a tracker: it has errors besides its noise
 
 
@@ -341,6 +344,7 @@ def read_tracks(rec: Recording) -> Tracks:
         for name, grid in grids.items():
             grid[frame[rows], i] = table.get(name)[rows]
     remarks = [Remark("note", f"The table also holds markers that recording.toml does not name: {_ids(strangers)}.")]
+    strays = _without_strays(grids, wanted, LEAST_JUMP * rec.beam.length)
     points = np.stack([grids["x_m"], grids["y_m"], grids["z_m"]], axis=-1)
     _refuse_missing(rec, table, points[..., :2], wanted, drawn)
     vertices = vertices_of(table, drawn, frame, len(times), ("x_m", "y_m", "z_m"))
@@ -361,7 +365,7 @@ def read_tracks(rec: Recording) -> Tracks:
         sd=np.where(np.isfinite(sd), sd, _noise(xy, LEAST_SD, LEAST_SD)),
         clamp=plane.lay(np.array(entry.clamp)) if entry.clamp else None,
         x_axis=plane.axes @ np.array(entry.x_axis) if entry.x_axis else None,
-        remarks=tuple(remarks[0 if strangers else 1 :]) + _gaps(xy, wanted),
+        remarks=(*remarks[0 if strangers else 1 :], *strays, *_gaps(xy, wanted)),
     )
     if not drawn.any():
         return tracks
@@ -507,6 +511,33 @@ def _check_dimensions(rec: Recording, count: int) -> None:
             raise ObservationError(
                 f"{rec.name}: {name} in [markers] needs {count} numbers, as the table's points have."
             )
+
+
+def _without_strays(grids: Mapping[str, Array], wanted: list[int], least: float) -> tuple[Remark, ...]:
+    """Takes out of the grids, in place, the rows in which a tracker took something else for a marker."""
+    out = []
+    for i, marker in enumerate(wanted):
+        known = np.flatnonzero(np.isfinite(grids["x_m"][:, i]) & np.isfinite(grids["y_m"][:, i]))
+        if len(known) < 7:  # three on either side
+            continue
+        strays = known[jumps(np.column_stack([grids["x_m"][known, i], grids["y_m"][known, i]]), least)]
+        for grid in grids.values():
+            grid[strays, i] = np.nan
+        if len(strays):
+            text = f"Marker {marker} jumps away and back in {len(strays)} of {len(known)} frames: they are left out."
+            out.append(Remark("note", text))
+    return tuple(out)
+
+
+def jumps(path: Array, least: float) -> BoolArray:
+    """(N,) which points of a path (N, 2) lie `least` [m] or more away from those beside them, and by far more than
+    noise and motion explain."""
+    padded = np.pad(path, ((3, 3), (0, 0)), mode="reflect")
+    beside = np.median([padded[k : k + len(path)] for k in (0, 1, 2, 4, 5, 6)], axis=0)
+    away = np.linalg.norm(path - beside, axis=1)
+    motion = maximum_filter1d(np.linalg.norm(np.gradient(beside, axis=0), axis=1), 7)
+    usual = median_filter(away, 15, mode="mirror")  # of a swing it is large
+    return np.asarray(away > np.maximum(least, JUMP * (usual + 0.5 * motion)))
 
 
 def _gaps(xy: Array, wanted: list[int]) -> tuple[Remark, ...]:

@@ -15,7 +15,7 @@ from onebend.learning.posterior import fit
 from onebend.recording.entries import MarkersEntry
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe
-from onebend.recording.tracks import best_plane, chord_angles, line_frame, track_markers
+from onebend.recording.tracks import best_plane, chord_angles, jumps, line_frame, track_markers
 from onebend.records import Markers, Observations
 from onebend.report.overview import overview
 from tests.made_up import BEAM, LENGTH, MARKER_S
@@ -54,6 +54,35 @@ def test_tracks_come_into_the_beams_frame(tmp_path: Path, options: dict[str, obj
         assert np.all(np.isnan(found.angle))
     sd = np.sqrt(np.nanmedian(found.covariance[..., 0, 0]))
     assert 1.4e-5 < sd < 3e-5  # 2e-5 was put in
+
+
+def test_what_a_tracker_took_for_a_marker_now_and_then_is_left_out(tmp_path: Path) -> None:
+    folder, rng = track_folder(tmp_path), np.random.default_rng(0)
+    file, whole = folder / "markers.csv", track_markers(read_recording(folder))
+    header, *rows = file.read_text().splitlines()
+    strays = set(rng.choice(len(rows), len(rows) // 33, replace=False).tolist())
+    x = header.split(",").index("x_m")
+    for i in strays:
+        cells = rows[i].split(",")
+        rows[i] = ",".join([*cells[:x], f"{float(cells[x]) + rng.choice([-1, 1]) * 0.03:.6f}", *cells[x + 1 :]])
+    file.write_text("\n".join([header, *rows]) + "\n")
+    found = track_markers(read_recording(folder))
+    assert np.nanmax(np.abs(found.xy - whole.xy)) < 2e-4
+    assert 0.01 < np.mean(np.isnan(found.xy[..., 0]) & ~np.isnan(whole.xy[..., 0])) < 0.07  # its rows, or its base's
+    assert any("jumps away and back" in remark.text for remark in found.remarks)
+
+
+@given(st.sampled_from([25.0, 60.0, 120.0]), st.floats(0.5, 12.0), st.floats(0.2, 3.0), st.integers(0, 5))
+@settings(max_examples=30, deadline=None)
+def test_a_push_that_is_let_go_and_swings_is_no_stray(fps: float, hertz: float, decay: float, seed: int) -> None:
+    time = np.arange(-3.0, 5.0, 1.0 / fps)
+    led = 0.03 * np.clip(time + 2.5, 0.0, 1.0)
+    y = np.where(time < 0.0, led, 0.03 * np.exp(-time / decay) * np.cos(2.0 * np.pi * hertz * time))
+    noise = np.random.default_rng(seed).normal(scale=3e-5, size=(len(time), 2))
+    path = np.column_stack([0.1 - y**2, y]) + noise
+    assert not np.any(jumps(path, 1e-3))
+    path[len(path) // 5, 1] += 0.02
+    assert np.flatnonzero(jumps(path, 1e-3)).tolist() == [len(path) // 5]
 
 
 def test_looking_from_the_other_side_mirrors_the_beam(tmp_path: Path) -> None:
