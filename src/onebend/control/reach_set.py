@@ -65,11 +65,6 @@ class ReachableSet:
     points: Array  # (D, R, 2) m; NaN if not stable or bent too much
     q: Array  # (D, R, n) rad, the shapes
 
-    @property
-    def reached(self) -> BoolArray:
-        """(D, R)."""
-        return np.isfinite(self.points[..., 0])
-
     @one_blas_thread
     def nearest(self, goal: ArrayLike) -> NearestPoint:
         """The reachable point nearest to `goal` (2,) m: exact at the bound on the force; at other bounds a nearer one
