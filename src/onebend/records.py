@@ -162,6 +162,11 @@ class ForceLog:
     push_s: Array | None = None  # (N,) place of the push, where the log has such a column
     remarks: tuple[Remark, ...] = ()
 
+    def rows(self, kept: BoolArray) -> ForceLog:
+        """The log of some of its rows, `kept` (N,)."""
+        push_s = None if self.push_s is None else self.push_s[kept]
+        return replace(self, time=self.time[kept], force=self.force[kept], push_s=push_s)
+
 
 @dataclass(frozen=True)
 class ForceNoise:

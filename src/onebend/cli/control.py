@@ -17,9 +17,8 @@ from rich.table import Table
 
 from onebend.cli import common
 from onebend.cli.models import SetUpOptions, gravity_on, read_trusted, warn_beyond_learned
+from onebend.control import loop, loop_simulation, reach_set, trajectory_files
 from onebend.control.goals import WITHOUT_SETUP, Between, read_goals, read_targets
-from onebend.control.loop import Controller, Margins
-from onebend.control.loop_simulation import SETTLED, LoopTrial
 from onebend.control.path import FollowedPath, PathSettings, PathSpread, by_force, follow_goals, path_spread
 from onebend.control.reach import (
     SURE,
@@ -31,9 +30,7 @@ from onebend.control.reach import (
     reach as solve_reach,
     reach_in_setup,
 )
-from onebend.control.reach_set import ReachableSet, reachable
 from onebend.control.shape import Grip, Pusher, ShapeResult, ShapeSettings, shape as solve_shape
-from onebend.control.trajectory_files import FRAME
 from onebend.errors import ControlError
 from onebend.options import POSITIVE, option
 from onebend.report.sentences import length_words, significant
@@ -125,12 +122,12 @@ def reach(
     common.answer(as_json, summary, lambda console: show_reach(console, found, error, output), output)
 
 
-def _within(found: Reach | ReachInSetUp) -> ReachableSet | None:
+def _within(found: Reach | ReachInSetUp) -> reach_set.ReachableSet | None:
     """Reachable with forces within the bound; None without a bound."""
     settings = found.settings
     if settings.max_force is None:
         return None
-    return reachable(
+    return reach_set.reachable(
         found.beam,
         push_s=found.push_s,
         point_s=found.point_s,
@@ -306,7 +303,7 @@ def path(
     where: SetUpOptions,
     between: BetweenGoals = None,
     gravity: common.Gravity = (0.0, 0.0),
-    frame: FrameName = FRAME,
+    frame: FrameName = trajectory_files.FRAME,
     output: common.Output = None,
     overwrite: common.Overwrite = False,
     as_json: common.Json = False,
@@ -349,9 +346,9 @@ def path(
 
 def show_loop(
     console: Console,
-    control: Controller,
-    known: Margins,
-    trials: tuple[LoopTrial, ...],
+    control: loop.Controller,
+    known: loop.Margins,
+    trials: tuple[loop_simulation.LoopTrial, ...],
     output: Path | None,
 ) -> None:
     table = common.facts_table()
@@ -367,14 +364,14 @@ def show_loop(
     runs = Table("true k(s)", "steady, mm", "settled to 1 mm, s", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for trial in trials:
         steady = "the beam snapped away" if trial.run is None else f"{1e3 * trial.steady:.2f}"
-        settled = trial.settled(SETTLED)
+        settled = trial.settled(loop_simulation.SETTLED)
         runs.add_row(trial_name(trial), steady, "never" if math.isinf(settled) else f"{settled:.1f}")
     console.print()
     console.print(runs)
     common.say_written(console, output, "loop.csv, loop.png, summary.json")
 
 
-def trial_name(trial: LoopTrial) -> str:
+def trial_name(trial: loop_simulation.LoopTrial) -> str:
     """The beam of a simulation."""
     share = 100.0 * abs(trial.beam.factor - 1.0)
     way = "lower" if trial.beam.factor < 1.0 else "higher"

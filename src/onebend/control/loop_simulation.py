@@ -9,13 +9,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from onebend.beam.dynamics import Actions, Body, acting, body
-from onebend.beam.grid import Modes
-from onebend.beam.integration import Method, MotionState, Stepper, tableau
+from onebend.beam import dynamics, grid, integration, problem, vibration
 from onebend.beam.model import Beam
-from onebend.beam.problem import has_mass
 from onebend.beam.stiffness import Profile, Scaled, UncertainStiffness, Uniform
-from onebend.beam.vibration import settle, vibration_of
 from onebend.control.loop import Controller, ControllerSettings, RequiredMargins, Timing
 from onebend.errors import ControlError, MechanicsError
 from onebend.options import option
@@ -24,7 +20,7 @@ from onebend.records import Array
 
 TICK = 1.0 / 120.0  # s, between forces
 AXIS_PLACES = np.linspace(0.0, 1.0, 41)  # s
-_METHOD = Method(3, "radau")  # damps motion faster than a tick, as the damping there does
+_METHOD = integration.Method(3, "radau")  # damps motion faster than a tick, as the damping there does
 
 
 @dataclass(frozen=True)
@@ -129,14 +125,14 @@ class _MovingBeam:
 
     def __init__(self, truth: TrueSystem, tick: float) -> None:
         self.body, self.tick, self.hand = damped_body(truth), tick, truth.hand
-        self._numbers = tableau(_METHOD)
-        self._stepper = Stepper(self.body, self._numbers, tick, tolerance=1e-8)
+        self._numbers = integration.tableau(_METHOD)
+        self._stepper = integration.Stepper(self.body, self._numbers, tick, tolerance=1e-8)
         places = np.array([truth.push_s, truth.point_s, *AXIS_PLACES])
         levers = self.body.length * self.body.grid.integral_to(places)
         self._lever, self._places = levers[0], levers[1:]
-        weighed = Actions(gravity=truth.gravity)
-        self._weight = acting(self.body, weighed, tick * self._numbers.c)
-        start = settle(self.body, weighed)
+        weighed = dynamics.Actions(gravity=truth.gravity)
+        self._weight = dynamics.acting(self.body, weighed, tick * self._numbers.c)
+        start = vibration.settle(self.body, weighed)
         self.theta, self._momentum, self.force = start.theta, np.zeros(self.body.n), np.zeros(2)
         self._guess = np.zeros((self.body.n, len(self._numbers.c)))
 
@@ -157,12 +153,14 @@ class _MovingBeam:
         self._guess = step.velocity @ self._numbers.ahead.T
 
 
-def damped_body(truth: TrueSystem) -> Body:
+def damped_body(truth: TrueSystem) -> dynamics.Body:
     """The true beam in modes, damping in proportion to k(s)."""
-    plain = body(truth.beam, Modes(truth.modes))
-    slowest = float(vibration_of(plain, MotionState(np.zeros(plain.n), np.zeros(plain.n))).frequency[0])
+    plain = dynamics.body(truth.beam, grid.Modes(truth.modes))
+    slowest = float(
+        vibration.vibration_of(plain, integration.MotionState(np.zeros(plain.n), np.zeros(plain.n))).frequency[0]
+    )
     damping = Scaled(truth.damping_ratio / (np.pi * slowest), truth.beam.stiffness)
-    return body(truth.beam, Modes(truth.modes), damping=damping)
+    return dynamics.body(truth.beam, grid.Modes(truth.modes), damping=damping)
 
 
 def _frames(eye: LoopCamera, duration: float, rng: np.random.Generator) -> deque[tuple[float, float, Array]]:
@@ -263,7 +261,7 @@ def simulate_trials(
     if not duration >= 2.0:
         raise ControlError(f"a simulation takes two seconds at least, got {duration} s")
     hand = Actuator(lag=control.settings.timing.lag)
-    model, weighed = control.beam, has_mass(control.beam)
+    model, weighed = control.beam, problem.has_mass(control.beam)
     for beam in beams:
         mass = model.mass_per_length if weighed else Uniform(_LEAST_MASS)
         truth = TrueSystem(

@@ -16,23 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from onebend.beam.continuation import follow
+from onebend.beam import continuation, model, problem
 from onebend.beam.loads import push, weight
-from onebend.beam.model import Beam
-from onebend.beam.problem import Resolution, make_problem
-from onebend.control.goals import numbers
-from onebend.control.loaded_beam import (
-    EquilibriumPath,
-    LoadedState,
-    PushedBeam,
-    ReachSettings,
-    checked_goal,
-    lead,
-    least_eigenvalue,
-    prepared,
-    solve_goal,
-    trace,
-)
+from onebend.control import goals, loaded_beam
 from onebend.errors import ControlError
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, IntArray
@@ -51,14 +37,14 @@ class NearestPoint:
     point: Array  # (2,) m
     force: Array  # (2,) N
     distance: float  # m, to the goal
-    states: tuple[LoadedState, ...]  # equilibria from rest to it
+    states: tuple[loaded_beam.LoadedState, ...]  # equilibria from rest to it
 
 
 @dataclass(frozen=True)
 class ReachableSet:
     """D directions, R sizes, the largest last."""
 
-    pushed: PushedBeam
+    pushed: loaded_beam.PushedBeam
     max_force: float  # N
     max_curvature: float | None  # 1/m, beyond rest
     force: Array  # (D, R, 2) N
@@ -71,19 +57,19 @@ class ReachableSet:
         may exist."""
         wanted = np.asarray(goal, dtype=float)
         if wanted.shape != (2,) or not np.all(np.isfinite(wanted)):
-            raise ControlError(f"a goal has two finite coordinates [m], got {numbers(wanted)}")
-        trails = [trace(self.pushed, sample.load) for sample in self.samples_near(wanted, _START_SAMPLES)]
+            raise ControlError(f"a goal has two finite coordinates [m], got {goals.numbers(wanted)}")
+        trails = [loaded_beam.trace(self.pushed, sample.load) for sample in self.samples_near(wanted, _START_SAMPLES)]
         ways = [(self.pushed.start,), *(trail.states for trail in trails if trail.arrived)]
         return min((self._refine(way, wanted) for way in ways), key=lambda point: point.distance)
 
-    def samples_near(self, goal: Array, count: int) -> list[LoadedState]:
+    def samples_near(self, goal: Array, count: int) -> list[loaded_beam.LoadedState]:
         """Up to `count` equilibria, nearest point first."""
         away = np.linalg.norm(self.points - goal, axis=-1).ravel()
         order = [int(i) for i in np.argsort(away)[:count] if np.isfinite(away[i])]
         q, force = self.q.reshape(-1, self.q.shape[-1]), self.force.reshape(-1, 2)
-        return [LoadedState(q[i], np.append(force[i], 0.0)) for i in order]
+        return [loaded_beam.LoadedState(q[i], np.append(force[i], 0.0)) for i in order]
 
-    def _refine(self, way: tuple[LoadedState, ...], goal: Array) -> NearestPoint:
+    def _refine(self, way: tuple[loaded_beam.LoadedState, ...], goal: Array) -> NearestPoint:
         """Gauss-Newton in the disc of forces, followed as equilibria."""
         pushed, least = self.pushed, _LEAST_SHARE_OF_LENGTH * float(self.pushed.problem.length)
         for _ in range(_MOST_STEPS):
@@ -96,13 +82,13 @@ class ReachableSet:
         point = pushed.pose(way[-1].q)[:2]
         return NearestPoint(point, way[-1].load[:2], float(np.linalg.norm(goal - point)), way)
 
-    def _allowed(self, state: LoadedState) -> bool:
+    def _allowed(self, state: loaded_beam.LoadedState) -> bool:
         return self.max_curvature is None or self.pushed.bend(state.q) <= self.max_curvature
 
 
 @one_blas_thread
 def reachable(
-    beam: Beam,
+    beam: model.Beam,
     *,
     push_s: float = 1.0,
     point_s: float = 1.0,
@@ -127,7 +113,7 @@ def reachable(
     if directions < 3 or sizes < 1:
         raise ControlError(f"at least 3 directions and 1 size are sampled, got {directions} and {sizes}")
     x, y = np.asarray(gravity, dtype=float).tolist()
-    pushed = prepared(beam, push_s, point_s, (x, y), Resolution())
+    pushed = loaded_beam.prepared(beam, push_s, point_s, (x, y), problem.Resolution())
     turns = np.linspace(0.0, 2.0 * np.pi, directions, endpoint=False)
     grow: Array = max_force * np.arange(1, sizes + 1) / sizes
     q, points = _sampled(pushed, turns, grow)
@@ -137,15 +123,15 @@ def reachable(
 
 
 def _nearer(
-    pushed: PushedBeam,
-    state: LoadedState,
+    pushed: loaded_beam.PushedBeam,
+    state: loaded_beam.LoadedState,
     goal: Array,
     most: float,
     shares: tuple[float, ...],
     shortest: float,
     least: float,
-    allowed: Callable[[LoadedState], bool] = lambda _: True,
-) -> EquilibriumPath | None:
+    allowed: Callable[[loaded_beam.LoadedState], bool] = lambda _: True,
+) -> loaded_beam.EquilibriumPath | None:
     """A Gauss-Newton step towards a goal by forces up to `most` N, followed as an equilibrium; the first of
     `shares` that approaches by `least` m, or None."""
     s = pushed.response(state)[:2, :2]
@@ -154,7 +140,7 @@ def _nearer(
     away, now = goal - pushed.pose(state.q)[:2], state.load[:2]
     aim = best_in_ball(s, s @ now + away, most)
     for share in shares:
-        way = trace(pushed, np.append(now + share * (aim - now), 0.0), start=state, shortest=shortest)
+        way = loaded_beam.trace(pushed, np.append(now + share * (aim - now), 0.0), start=state, shortest=shortest)
         there = float(np.linalg.norm(goal - pushed.pose(way.states[-1].q)[:2]))
         if way.arrived and allowed(way.states[-1]) and there < float(np.linalg.norm(away)) - least:
             return way
@@ -198,8 +184,8 @@ Edge = Literal["force", "stability"]
 @dataclass(frozen=True)
 class MapPlace:
     inside: bool
-    state: LoadedState  # to first order
-    near: LoadedState  # an equilibrium of the map
+    state: loaded_beam.LoadedState  # to first order
+    near: loaded_beam.LoadedState  # an equilibrium of the map
     edge: Edge | None  # limit; None inside
 
 
@@ -236,7 +222,7 @@ class ReachMap:
         size = np.linalg.norm(self.force, axis=1)
         return np.asarray(np.all(size[self.edges] >= _MAP_AT_BOUND * self.max_force, axis=1))
 
-    def locate(self, goal: Array, now: LoadedState | None = None) -> MapPlace:
+    def locate(self, goal: Array, now: loaded_beam.LoadedState | None = None) -> MapPlace:
         """Where the goal (2,) m lies; of several forces the one nearest to `now`."""
         a, inverse = self._corners
         others = np.einsum("tij,tj->ti", inverse, goal - a)
@@ -258,12 +244,12 @@ class ReachMap:
         edge: Edge = "force" if self.edge_is_force[best] else "stability"
         return MapPlace(False, self._between(corners, share), self._at(corners, share), edge)
 
-    def _between(self, corners: IntArray, weights: Array) -> LoadedState:
-        return LoadedState(weights @ self.q[corners], np.append(weights @ self.force[corners], 0.0))
+    def _between(self, corners: IntArray, weights: Array) -> loaded_beam.LoadedState:
+        return loaded_beam.LoadedState(weights @ self.q[corners], np.append(weights @ self.force[corners], 0.0))
 
-    def _at(self, corners: IntArray, weights: Array) -> LoadedState:
+    def _at(self, corners: IntArray, weights: Array) -> loaded_beam.LoadedState:
         chosen = int(corners[int(np.argmax(weights))])
-        return LoadedState(self.q[chosen], np.append(self.force[chosen], 0.0))
+        return loaded_beam.LoadedState(self.q[chosen], np.append(self.force[chosen], 0.0))
 
 
 @dataclass(frozen=True)
@@ -274,7 +260,7 @@ class _Sheet:
 
 
 @one_blas_thread
-def reach_map(pushed: PushedBeam, max_force: float) -> ReachMap:
+def reach_map(pushed: loaded_beam.PushedBeam, max_force: float) -> ReachMap:
     """For forces up to `max_force` [N]. Raises `ControlError` for an invalid bound."""
     if not (max_force > 0.0 and np.isfinite(max_force)):
         raise ControlError(f"the largest force must be positive, got {max_force:g} N")
@@ -304,7 +290,7 @@ def reach_map(pushed: PushedBeam, max_force: float) -> ReachMap:
     )
 
 
-def _grown(pushed: PushedBeam, max_force: float) -> _Sheet:
+def _grown(pushed: loaded_beam.PushedBeam, max_force: float) -> _Sheet:
     """Forces from rest in all directions, dense enough for straight triangle sides."""
     turns, sizes = np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS, endpoint=False), max_force * _SIZES
     q, points = _sampled(pushed, turns, sizes)
@@ -336,7 +322,7 @@ def _merged(values: Array, more: Array) -> tuple[Array, IntArray]:
     return every[order], order
 
 
-def _turned_on(pushed: PushedBeam, sheet: _Sheet, side: int, sizes: IntArray, way: float) -> _Sheet:
+def _turned_on(pushed: loaded_beam.PushedBeam, sheet: _Sheet, side: int, sizes: IntArray, way: float) -> _Sheet:
     """Turns forces beyond direction `side` while stable."""
     columns = [_column(pushed, sheet, side, int(r), way) for r in sizes]
     shape = (max(map(len, columns)), len(columns))
@@ -348,19 +334,23 @@ def _turned_on(pushed: PushedBeam, sheet: _Sheet, side: int, sizes: IntArray, wa
     return _Sheet(np.nan_to_num(force), q, points)
 
 
-def _near(pushed: PushedBeam, sheet: _Sheet, triangles: IntArray) -> IntArray:
+def _near(pushed: loaded_beam.PushedBeam, sheet: _Sheet, triangles: IntArray) -> IntArray:
     shapes = sheet.q.reshape(-1, sheet.q.shape[-1])[triangles] @ pushed.b.T
     return np.asarray(triangles[np.max(np.ptp(shapes, axis=1), axis=-1) < 2.0 * _SAME_BRANCH])
 
 
-def _column(pushed: PushedBeam, sheet: _Sheet, side: int, r: int, way: float) -> list[LoadedState]:
+def _column(
+    pushed: loaded_beam.PushedBeam, sheet: _Sheet, side: int, r: int, way: float
+) -> list[loaded_beam.LoadedState]:
     """One force turned until the beam would fall, to an eighth of a step."""
-    state = LoadedState(sheet.q[side, r], np.append(sheet.force[side, r], 0.0))
+    state = loaded_beam.LoadedState(sheet.q[side, r], np.append(sheet.force[side, r], 0.0))
     begin, size = float(np.arctan2(*sheet.force[side, r][::-1])), float(np.hypot(*sheet.force[side, r]))
     found, turned, step = [state], 0.0, _TURN
     while len(found) <= _MOST_TURNS and step > 0.1 * _TURN:
         angle = begin + way * (turned + step)
-        trail = trace(pushed, size * np.array([np.cos(angle), np.sin(angle), 0.0]), start=found[-1], shortest=0.3)
+        trail = loaded_beam.trace(
+            pushed, size * np.array([np.cos(angle), np.sin(angle), 0.0]), start=found[-1], shortest=0.3
+        )
         bent = float(np.max(np.abs(pushed.b @ (trail.states[-1].q - found[-1].q))))
         if trail.arrived and bent < _SAME_BRANCH:
             turned += step
@@ -374,18 +364,18 @@ def _forces(turns: Array, sizes: Array) -> Array:
     return np.asarray(sizes[None, :, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)[:, None])
 
 
-def _sampled(pushed: PushedBeam, turns: Array, sizes: Array) -> tuple[Array, Array]:
+def _sampled(pushed: loaded_beam.PushedBeam, turns: Array, sizes: Array) -> tuple[Array, Array]:
     """(D, R, n) rad shapes, (D, R, 2) m the point; NaN if not stable."""
     force = _forces(turns, sizes).reshape(-1, 2)
     loads = push(force, pushed.push_s) + weight(pushed.gravity)
-    solved = follow(make_problem(pushed.beam, loads, pushed.resolution))
+    solved = continuation.follow(problem.make_problem(pushed.beam, loads, pushed.resolution))
     points = solved.xy(np.array([pushed.point_s]))[:, 0]
     points[~(solved.converged & solved.stable)] = np.nan
     shape = (len(turns), len(sizes))
     return solved.q[:, : pushed.count].reshape(*shape, -1), points.reshape(*shape, 2)
 
 
-def _apart(pushed: PushedBeam, q: Array, points: Array, most: float) -> BoolArray:
+def _apart(pushed: loaded_beam.PushedBeam, q: Array, points: Array, most: float) -> BoolArray:
     """(D, R) whether the next direction's shape is unknown or differs by more than `most` rad."""
     turned = np.max(np.abs((np.roll(q, -1, axis=0) - q) @ pushed.b.T), axis=-1)
     known = np.isfinite(points[..., 0])
@@ -434,7 +424,7 @@ _OVER = 1.0 + 1e-9
 class DragAnswer:
     goal: Array  # (2,) m, or (3,) m, m, rad
     pose: Array  # (3,) m, m, rad
-    state: LoadedState
+    state: loaded_beam.LoadedState
     margin: float  # smallest eigenvalue of the scaled tangent: 1 without loads, 0 at loss of stability
     limit: Edge | None  # why the point is off its goal
 
@@ -444,7 +434,7 @@ class _Hand:
 
     holds = False  # also holds the end's angle
 
-    def __init__(self, pushed: PushedBeam, start: LoadedState, max_force: float) -> None:
+    def __init__(self, pushed: loaded_beam.PushedBeam, start: loaded_beam.LoadedState, max_force: float) -> None:
         self.pushed, self.state, self.max_force = pushed, start, max_force
 
     def answer(self, goal: Array, limit: Edge | None = None) -> DragAnswer:
@@ -453,7 +443,7 @@ class _Hand:
 
 
 class DraggedPoint(_Hand):
-    def __init__(self, pushed: PushedBeam, max_force: float) -> None:
+    def __init__(self, pushed: loaded_beam.PushedBeam, max_force: float) -> None:
         super().__init__(pushed, pushed.start, max_force)
         self.map: ReachMap | None = None  # until then Newton's method only
 
@@ -461,7 +451,7 @@ class DraggedPoint(_Hand):
     def to(self, goal: ArrayLike) -> DragAnswer:
         """The beam with its point on `goal` (2,) m, or as near as possible. Raises `ControlError` for an invalid
         goal."""
-        wanted = checked_goal(goal, ReachSettings())
+        wanted = loaded_beam.checked_goal(goal, loaded_beam.ReachSettings())
         limit: Edge | None = None
         if self.map is None:
             if not (self._solved(self.state, wanted) or self._approach(wanted)):
@@ -470,7 +460,7 @@ class DraggedPoint(_Hand):
             place = self.map.locate(wanted, self.state)
             starts = (self.state, place.state, place.near)
             if not (place.inside and any(self._solved(start, wanted) for start in starts)):
-                way = trace(self.pushed, place.state.load, start=place.near, shortest=_SHORTEST_EDGE_STEP)
+                way = loaded_beam.trace(self.pushed, place.state.load, start=place.near, shortest=_SHORTEST_EDGE_STEP)
                 self.state, limit = way.states[-1], place.edge
                 if limit != "stability":
                     limit = None if self._approach(wanted) else "force"
@@ -484,7 +474,9 @@ class DraggedPoint(_Hand):
         if load.shape != (3,) or not np.isfinite(load).all():
             raise ControlError("a force has two finite components [N]")
         size = _size(load)
-        way = trace(self.pushed, load * min(1.0, self.max_force / max(size, 1e-300)), shortest=_SHORTEST_EDGE_STEP)
+        way = loaded_beam.trace(
+            self.pushed, load * min(1.0, self.max_force / max(size, 1e-300)), shortest=_SHORTEST_EDGE_STEP
+        )
         self.state = way.states[-1]
         limit: Edge | None = None if way.arrived and size <= _OVER * self.max_force else "stability"
         return self.answer(self.pushed.pose(self.state.q)[:2], limit)
@@ -500,8 +492,8 @@ class DraggedPoint(_Hand):
                 return True
         return False
 
-    def _solved(self, start: LoadedState, goal: Array) -> bool:
-        found = solve_goal(self.pushed, start, goal, most=8, trust=_TRUST)
+    def _solved(self, start: loaded_beam.LoadedState, goal: Array) -> bool:
+        found = loaded_beam.solve_goal(self.pushed, start, goal, most=8, trust=_TRUST)
         if not (found.converged and found.positive) or _size(found.state.load) > _OVER * self.max_force:
             return False
         if not self.pushed.stable(found.state):
@@ -513,7 +505,7 @@ class DraggedPoint(_Hand):
 class HeldEnd(_Hand):
     holds = True
 
-    def __init__(self, pushed: PushedBeam, start: LoadedState, max_force: float) -> None:
+    def __init__(self, pushed: loaded_beam.PushedBeam, start: loaded_beam.LoadedState, max_force: float) -> None:
         """`start`: an equilibrium under a force at the end. Raises `ControlError` if the beam is not pushed at its
         end."""
         if (pushed.push_s, pushed.point_s) != (1.0, 1.0):
@@ -523,7 +515,7 @@ class HeldEnd(_Hand):
     @one_blas_thread
     def to(self, goal: ArrayLike) -> DragAnswer:
         """The beam with its end at `goal` (3,) m, m, rad, or as far on the straight way as it is stable."""
-        wanted = checked_goal(goal, ReachSettings(moment=True))
+        wanted = loaded_beam.checked_goal(goal, loaded_beam.ReachSettings(moment=True))
         if len(wanted) != 3:
             raise ControlError("a hand holds a place and an angle: a goal is (x, y, angle)")
         limit = self._led(wanted)
@@ -563,23 +555,25 @@ class HeldEnd(_Hand):
     def _led(self, pose: Array) -> Edge | None:
         """Leads the end straight towards a pose; the limit that it meets, or None."""
         self._limit: Edge = "stability"
-        way = lead(self.pushed, self.state, pose, 3, self._allowed)
+        way = loaded_beam.lead(self.pushed, self.state, pose, 3, self._allowed)
         self.state = way.states[-1]
         return None if way.arrived else self._limit
 
-    def _allowed(self, state: LoadedState) -> bool:
+    def _allowed(self, state: loaded_beam.LoadedState) -> bool:
         strong = _size(state.load) > _OVER * self.max_force
         self._limit = "force" if strong else "stability"
         return not strong and stability_margin(self.pushed, state, held=True) > 0.0
 
 
-def stability_margin(pushed: PushedBeam, state: LoadedState, *, held: bool = False) -> float:
+def stability_margin(pushed: loaded_beam.PushedBeam, state: loaded_beam.LoadedState, *, held: bool = False) -> float:
     """Smallest eigenvalue of the scaled tangent, with `held` on changes that keep the end's pose: 1 without loads, 0 at
     buckling."""
     _, tangent, cos, sin = pushed.balance(state.q, state.load)
     scale = 1.0 / np.sqrt(pushed.stiff)
     matrix = scale[:, None] * np.tril(tangent) * scale
-    return least_eigenvalue(matrix + np.tril(matrix, -1).T, pushed.of_shape(cos, sin) * scale if held else None)
+    return loaded_beam.least_eigenvalue(
+        matrix + np.tril(matrix, -1).T, pushed.of_shape(cos, sin) * scale if held else None
+    )
 
 
 def _size(load: Array) -> float:

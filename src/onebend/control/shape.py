@@ -9,13 +9,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from onebend.beam.clamped_ends import end_jacobian, end_pose
-from onebend.beam.continuation import equilibrium, follow
+from onebend.beam import clamped_ends, continuation, statics, stiffness
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.problem import Problem, Resolution, Rod, make_problem, refuse_section
 from onebend.beam.setup import SetUp
-from onebend.beam.statics import Equilibrium, balance, found_near, nodal_forces, scaled, tangent
-from onebend.beam.stiffness import UncertainStiffness
 from onebend.control.goals import TargetResiduals, Targets, check_metres, target_residuals
 from onebend.control.loaded_beam import least_eigenvalue
 from onebend.errors import ControlError
@@ -116,9 +113,9 @@ class Actuators:
         moment = p.moment + (0.0 if self.grip is None else u[:, -1:])
         return replace(p, dead_force=p.dead_force + force, moment=np.broadcast_to(moment, force.shape[:2]))
 
-    def solved(self, q: Array, u: Array) -> Equilibrium:
+    def solved(self, q: Array, u: Array) -> statics.Equilibrium:
         """Known equilibria q (T, Q) under u (T, m)."""
-        return found_near(self.loaded(u), q, np.ones(len(q), dtype=bool))
+        return statics.found_near(self.loaded(u), q, np.ones(len(q), dtype=bool))
 
 
 @dataclass(frozen=True)
@@ -128,14 +125,14 @@ class BeamState:
     u: Array  # (m,)
 
     @cached_property
-    def solved(self) -> Equilibrium:
+    def solved(self) -> statics.Equilibrium:
         """With the controls as dead loads; for stability see `margin`."""
         return self.actuators.solved(self.q[None], self.u[None])
 
     @cached_property
     def tangent(self) -> Array:
         """(Q, Q) `D T D`, D = 1 / sqrt(w k)."""
-        return np.asarray(scaled(self.solved.problem, tangent(self.solved.problem, self.q[None]))[0])
+        return np.asarray(statics.scaled(self.solved.problem, statics.tangent(self.solved.problem, self.q[None]))[0])
 
     @cached_property
     def actions(self) -> Array:
@@ -168,10 +165,10 @@ class BeamState:
     @property
     def end(self) -> Array:
         """(3,) x, y [m], angle of s = 1."""
-        return np.asarray(end_pose(self.actuators.problem, self.q[None])[0])
+        return np.asarray(clamped_ends.end_pose(self.actuators.problem, self.q[None])[0])
 
 
-def actions(actuators: Actuators, solved: Equilibrium) -> Array:
+def actions(actuators: Actuators, solved: statics.Equilibrium) -> Array:
     """(T, m, Q) A: positions of pushed places and pose of the gripped end, by the curvature."""
     problem, alpha = solved.problem, solved.alpha
     count = 2 * len(actuators.pushes)
@@ -181,7 +178,7 @@ def actions(actuators: Actuators, solved: Equilibrium) -> Array:
     rows = turning @ problem.to_nodes
     if actuators.grip is None:
         return np.asarray(rows)
-    return np.asarray(np.concatenate([rows, end_jacobian(problem, solved.q)], axis=1))
+    return np.asarray(np.concatenate([rows, clamped_ends.end_jacobian(problem, solved.q)], axis=1))
 
 
 def resting_state(
@@ -198,7 +195,7 @@ def resting_state(
         loads = loads + weight(gravity)
     refuse_section(beam, "the search for a shape")
     actuators = Actuators(make_problem(beam, loads, resolution), pushes, grip)
-    solved = equilibrium(beam, loads, resolution=resolution)
+    solved = continuation.equilibrium(beam, loads, resolution=resolution)
     if not solved.stable[0]:
         raise ControlError("the beam buckles under its own weight; there is no stable shape at rest to start from")
     return BeamState(actuators, solved.q[0], np.zeros(actuators.count))
@@ -218,9 +215,9 @@ def next_state(state: BeamState, z: Array, trust: float) -> BeamState | None:
         sides[:, :count], sides[:, count:] = (dq / (root * state.unbend[:, None])).T, (du / unit[:, None]).T
     for _ in range(_MOST_ITERATIONS):
         here = BeamState(actuators, q, u)
-        out, matrix = balance(here.solved.problem, q[None])
+        out, matrix = statics.balance(here.solved.problem, q[None])
         scale = here.unbend
-        top = np.concatenate([scaled(here.solved.problem, matrix)[0], -here.actions.T * (unit / root)], axis=1)
+        top = np.concatenate([statics.scaled(here.solved.problem, matrix)[0], -here.actions.T * (unit / root)], axis=1)
         right = np.append(-out[0] * scale / root, np.zeros(actuators.count))
         try:
             step = np.linalg.solve(np.concatenate([top, sides]), right)
@@ -250,7 +247,7 @@ def model_of(state: BeamState, residuals: TargetResiduals) -> tuple[Array, Array
     dq, du = state.plane
     b, solved = state.actuators.problem.to_nodes, state.solved
     turned = b @ multipliers(state, residuals)
-    across = nodal_forces(solved.problem, solved.q).across
+    across = statics.nodal_forces(solved.problem, solved.q).across
     flow, seen = b @ dq, residuals.jacobian[0] @ dq  # (Q, m) turns
     bent = flow.T @ ((residuals.curvature_term[0] + across[0] * turned)[:, None] * flow)
     coupled = du.T @ control_coupling(state.actuators, solved.alpha, turned[None])[0] @ flow
@@ -405,7 +402,7 @@ class ShapeSpread:
         return float(np.sqrt(np.mean(np.sum(self.xy**2, axis=1))))
 
 
-def spread(state: BeamState, targets: Targets, uncertain: UncertainStiffness) -> ShapeSpread:
+def spread(state: BeamState, targets: Targets, uncertain: stiffness.UncertainStiffness) -> ShapeSpread:
     """At N targets. With a grip a common factor of k changes the wrench and not the shape (without weight)."""
     problem, solved = state.actuators.problem, state.solved
     basis = uncertain.basis(problem.grid.nodes)
@@ -519,7 +516,7 @@ def shape(
     pushes: Sequence[Pusher] = (),
     grip: Grip | None = None,
     gravity: ArrayLike | None = None,
-    uncertain: UncertainStiffness | None = None,
+    uncertain: stiffness.UncertainStiffness | None = None,
     start: BeamState | None = None,
     settings: ShapeSettings = ShapeSettings(),
 ) -> ShapeResult:
@@ -563,7 +560,7 @@ def _bent(resting: BeamState, settings: ShapeSettings) -> list[BeamState]:
         u = _RANDOM_LOAD_SIZE * actuators.scale * rng.standard_normal(actuators.count)
         for bound in actuators.bounds:
             u[bound.columns] *= min(1.0, 0.9 * bound.most / float(np.linalg.norm(u[bound.columns])))
-        solved = follow(actuators.loaded(u[None]))
+        solved = continuation.follow(actuators.loaded(u[None]))
         if solved.stable[0]:
             out.append(BeamState(actuators, solved.q[0], u))
     return out
@@ -574,7 +571,7 @@ def _result(
     targets: Targets,
     arm: float,
     tried: int,
-    uncertain: UncertainStiffness | None,
+    uncertain: stiffness.UncertainStiffness | None,
     settings: ShapeSettings,
 ) -> ShapeResult:
     state = result.state

@@ -36,7 +36,7 @@ def nothing_moves(o: Observations) -> str:
     """An error message for a film in which no tag leaves its rest position by more than noise; empty otherwise."""
     if o.static or o.held is not None or np.any(o.gravity != 0.0):
         return ""
-    away = _from_rest(o)
+    away = distances(o.xy - rest_places(o))
     seen = np.any(np.isfinite(away), axis=0)
     if not seen.any():
         return ""
@@ -215,15 +215,15 @@ def distances(difference: Array) -> Array:
     return np.asarray(np.where(np.any(there, axis=-1), length, np.nan))
 
 
-def _from_rest(o: Observations) -> Array:
-    """(T, m) m, distances of the tags from rest; from a straight beam where no rest was seen."""
+def rest_places(o: Observations) -> Array:
+    """(m, 2) m, where the tags were seen at rest; on a straight beam, where they were not."""
     straight = o.length * o.marker_s[:, None] * np.array([1.0, 0.0])
-    return distances(o.xy - np.where(np.isfinite(o.rest_xy), o.rest_xy, straight))
+    return np.where(np.isfinite(o.rest_xy), o.rest_xy, straight)
 
 
 def moved_by(o: Observations) -> Array:
     """(T,) m, root mean square distance of the tags from rest; NaN where no tag was seen."""
-    return np.asarray(np.sqrt(nan_mean(_from_rest(o) ** 2, axis=1)))
+    return np.asarray(np.sqrt(nan_mean(distances(o.xy - rest_places(o)) ** 2, axis=1)))
 
 
 def marker_rms(difference: Array) -> Array:

@@ -115,9 +115,8 @@ class PlayedForce(Playing[Samples]):
         super().__init__(name)
         self.timing = replace(TIMING, delay_error=error)
         self.columns, self.files = columns, files
-        kept = log.time >= start
-        place = None if log.push_s is None else log.push_s[kept]
-        self.log = replace(log, time=log.time[kept] - start, force=log.force[kept], push_s=place)
+        late = log.rows(log.time >= start)
+        self.log = replace(late, time=late.time - start)
 
     def items(self) -> Iterator[Samples]:
         log = self.log

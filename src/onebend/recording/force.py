@@ -345,7 +345,8 @@ def match_clocks(
 ) -> tuple[ForceLog | None, ClockFit]:
     """The offset from the force, else from the base's turn, else as written; 0 where there is no second clock.
 
-    The log is given back, where its sensor is slow as one that is not would have written it."""
+    The log is given back from a rest's length before the film to as long after it: nothing tells what acts farther off.
+    Where its sensor is slow, it is as one that is not would have written it."""
     stated, uncertainty = rec.start
     if log is None and base is None:
         start = stated if math.isfinite(stated) else 0.0
@@ -377,6 +378,9 @@ def match_clocks(
         )
     times = log.time if log is not None else base.time if base is not None else markers.time
     beam_frame.check_overlap(markers, times, fit.clock.offset, "force log" if log is not None else "base angle log")
+    if log is not None:
+        begin, end = markers.time[[0, -1]] + fit.clock.offset
+        log = log.rows(within(log.time, (begin - force.tare_span, end + force.tare_span)))
     return log, fit
 
 

@@ -11,7 +11,7 @@ from scipy.linalg import toeplitz
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers
 from onebend.lab.bench import ForceSensor, PushProfile
-from onebend.lab.virtual import VirtualBench, VirtualRecording, virtual_recording
+from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_virtual, virtual_recording
 from onebend.learning.force_error import force_error
 from onebend.learning.instruments import setup_of
 from onebend.learning.posterior import Posterior, fit
@@ -198,3 +198,18 @@ def test_a_declared_size_is_what_is_expected() -> None:
     largest = float(np.max(np.linalg.norm(o.force[o.loaded], axis=1)))
     assert force_error(o, o.time[o.loaded]).noise.load == pytest.approx(0.03 * largest)
     assert force_error(with_stated(o, load_error_sd=0.07), o.time[o.loaded]).noise.load == 0.07
+
+
+def test_a_log_of_minutes_that_was_touched_before_and_after_the_film_is_one_of_the_push() -> None:
+    made = virtual_recording(BENCH, seed=1)
+    log, away = made.log, np.arange(5.0, 200.0, 0.01)
+    touched = np.pad(0.01 * PEAK * np.sin(away)[:, None] + np.abs(np.sin(0.1 * away))[:, None] * PEAK, ((0, 0), (0, 1)))
+    time = np.concatenate([log.time[0] - away[::-1], log.time, log.time[-1] + away])
+    minutes = replace(log, time=time, force=np.concatenate([touched[::-1], log.force, touched]))
+    short, long = (observe_virtual(each) for each in (made, replace(made, log=minutes)))
+    np.testing.assert_allclose(long.force_sd, short.force_sd, rtol=0.1)
+    cleans = [short.source.clean_force, long.source.clean_force]
+    assert cleans[0] is not None
+    assert cleans[1] is not None
+    assert cleans[1].time[-1] - cleans[1].time[0] < np.ptp(short.time) + 7.0
+    np.testing.assert_allclose(cleans[1].zero, cleans[0].zero, atol=0.01 * PEAK)

@@ -22,7 +22,7 @@ from onebend.errors import LearningError
 from onebend.learning import parameters
 from onebend.learning.allowances import Allowance, camera, outline_height
 from onebend.learning.fit_data import REST_MODES, FitData, fit_data, rested
-from onebend.learning.frames import at_frames, known_loads, whitening
+from onebend.learning.frames import at_frames, known_loads, rest_places, whitening
 from onebend.learning.paper import solve_states
 from onebend.learning.prediction import Prediction, predict
 from onebend.learning.static_poses import RESOLUTION
@@ -167,17 +167,11 @@ class Bench:
         where = self.columns.get("discrepancy")
         if where is None:
             return now
-        moved = np.sum((now.pose[..., :2] - self.at_rest) ** 2, axis=-1)
+        moved = np.sum((now.pose[..., :2] - rest_places(self.observations)) ** 2, axis=-1)
         m, size = moved.shape[1], np.sqrt(np.mean(moved, axis=1))[:, None, None, None]
         off = replace(data.allowances[-1], basis=size * np.eye(3 * m).reshape(m, 3, 3 * m))
         pose = now.pose + off.basis @ self.mean[where]
         return replace(now, data=replace(data, allowances=(*data.allowances[:-1], off)), pose=pose)
-
-    @property
-    def at_rest(self) -> Array:
-        """(m, 2) m, where the tags were seen at rest; on a straight beam, where they were not."""
-        o = self.observations
-        return np.where(np.isfinite(o.rest_xy), o.rest_xy, o.length * o.marker_s[:, None] * np.array([1.0, 0.0]))
 
     def derivatives(self, now: Prediction) -> tuple[Array, Array]:
         """Of the tags: (F, m, 3, n + 1) per unit of each frame's load and metre of its place; (F, m, 3, r) per sd of
