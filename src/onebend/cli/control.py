@@ -18,7 +18,7 @@ from rich.table import Table
 from onebend.cli import common
 from onebend.cli.models import SetUpOptions, gravity_on, read_trusted, warn_beyond_learned
 from onebend.control import loop, loop_simulation, reach_set, trajectory_files
-from onebend.control.goals import WITHOUT_SETUP, Between, Goals, read_goals, read_targets
+from onebend.control.goals import WITHOUT_SETUP, Between, read_goals, read_targets
 from onebend.control.path import FollowedPath, PathSettings, PathSpread, by_force, follow_goals, path_spread
 from onebend.control.reach import (
     SURE,
@@ -201,12 +201,6 @@ TargetsFile = Annotated[
 GoalsFile = Annotated[
     Path, typer.Option("--goals", metavar="CSV", help="Columns time_s, x_m, y_m; with s, angle_rad, weight: shapes.")
 ]
-GoalPoint = Annotated[
-    float,
-    typer.Option(
-        "--point", min=common.LEAST, max=1.0, metavar="S", help="The point that follows goals without a column s."
-    ),
-]
 BetweenGoals = Annotated[
     Literal["force", "smooth", "monotone", "linear"] | None,
     typer.Option(
@@ -302,7 +296,7 @@ def path(
     model: common.Model,
     *,
     goals: GoalsFile,
-    point: GoalPoint = 1.0,
+    point: common.Point = 1.0,
     tag: Tag = None,
     hands: Hands,
     settings: PathSettings,
@@ -328,13 +322,13 @@ def path(
         weight = gravity_on(stored.beam, gravity)
         by_points: Between = "smooth" if between is None or between == "force" else between
         wanted = read_goals(goals, point_s=point, tag=tag, between=by_points, setup=where.of(stored))
-        learned, push_s = stored, pushes[0].at_s if pushes else 1.0
+        learned, push_s, most = stored, pushes[0].at_s if pushes else 1.0, hands.max_force
         stored, setup = where.bending(stored, push_s, weight, wanted.targets.s, wanted.targets.tag)
-        if between == "force" or (between is None and _alone(wanted, pushes, holding)):
-            if holding is not None or len(pushes) != 1:
+        one, to = holding is None and len(pushes) == 1, wanted.targets
+        if between == "force" or (between is None and one and len(to.s) == 1 and not to.turned.any()):
+            if not one:
                 raise ControlError("--between force is for one push; with a grip or more pushes take smooth")
             known = None if setup is None or learned.uncertain is None else (learned.beam, learned.uncertain, setup)
-            most = hands.max_force
             wanted = by_force(stored.beam, wanted, push_s=push_s, max_force=most, gravity=weight, learned=known)
         way = follow_goals(stored.beam, wanted, pushes=pushes, grip=holding, gravity=weight, settings=settings)
         way = replace(way, setup=setup)
@@ -348,10 +342,6 @@ def path(
             figures = {"path": lambda: path_figure(way)}
             common.save_results(output, overwrite, summary, tables, figures, [model_file(model), goals])
     common.answer(as_json, summary, lambda console: show_path(console, way, sure, output), output)
-
-
-def _alone(goals: Goals, pushes: tuple[Pusher, ...], grip: Grip | None) -> bool:
-    return grip is None and len(pushes) == 1 and len(goals.targets.s) == 1 and not goals.targets.turned.any()
 
 
 def show_loop(
@@ -383,8 +373,8 @@ def show_loop(
 
 def trial_name(trial: loop_simulation.LoopTrial) -> str:
     """The beam of a simulation."""
-    share = 100.0 * abs(trial.factor - 1.0)
-    way = "lower" if trial.factor < 1.0 else "higher"
+    share = 100.0 * abs(trial.beam.factor - 1.0)
+    way = "lower" if trial.beam.factor < 1.0 else "higher"
     if trial.beam.drawn:
         return f"drawn, {significant(share)} % {way} on average"
-    return "as the model" if trial.factor == 1.0 else f"{share:.0f} % {way}"
+    return "as the model" if trial.beam.factor == 1.0 else f"{share:.0f} % {way}"

@@ -328,13 +328,12 @@ def _on_beam(path: Path, table: dict[str, Array], setup: SetUp | None) -> None:
         raise ControlError(f"{path}, line {int(table['line'][np.argmax(wrong)])}: a row has an s, or a tag, not both")
     tagged = np.isfinite(tag)
     table |= {"s": s, "tag": np.where(tagged, tag, -1), "offset": np.zeros((len(s), 2))}
-    if not tagged.any():
-        return
-    if setup is None:
-        raise ControlError(f"{path}: {WITHOUT_SETUP}")
-    with _in(path):
-        there = tags(setup, table["tag"][tagged], np.zeros((int(np.sum(tagged)), 2)))
-    s[tagged], table["offset"][tagged] = there.s, there.offset
+    if tagged.any():
+        if setup is None:
+            raise ControlError(f"{path}: {WITHOUT_SETUP}")
+        with _in(path):
+            there = tags(setup, tag[tagged], np.zeros((np.sum(tagged), 2)))
+        s[tagged], table["offset"][tagged] = there.s, there.offset
 
 
 @contextmanager

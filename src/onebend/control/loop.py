@@ -41,11 +41,6 @@ class Plant:
     seen: Array  # (m, 2) kg^-1/2: modes at the point
     compliance: Array  # (2, 2) m/N, exact
 
-    @property
-    def at_once(self) -> Array:
-        """(2, 2) m/N, of omitted modes."""
-        return np.asarray(self.compliance - self.seen.T @ (self.pushed / self.omega[:, None] ** 2))
-
     def stiffer(self, factor: float) -> Plant:
         """With all of k(s) times `factor`; exact without weight."""
         return replace(self, omega=sqrt(factor) * self.omega, compliance=self.compliance / factor)
@@ -107,7 +102,8 @@ def behind_actuator(plant: Plant, lag: float) -> StateSpace:
     a[m : 2 * m, 2 * m :] = plant.pushed
     a[2 * m :, 2 * m :] = -np.eye(2) / slow
     b = np.vstack([np.zeros((2 * m, 2)), np.eye(2) / slow])
-    c = np.hstack([plant.seen.T, np.zeros((2, m)), plant.at_once])
+    omitted = plant.compliance - plant.seen.T @ (plant.pushed / plant.omega[:, None] ** 2)  # these respond at once
+    c = np.hstack([plant.seen.T, np.zeros((2, m)), omitted])
     return StateSpace(a, b, c)
 
 
@@ -132,8 +128,7 @@ class Timing:
     lag: float = 0.02  # s, of the actuator
 
     def __post_init__(self) -> None:
-        known = np.isfinite([self.fps, self.delay, self.lag])
-        if not np.all(known) or not (self.fps > 0.0 and self.delay >= 0.0 and self.lag >= 0.0):
+        if not (0.0 < self.fps < inf and 0.0 <= self.delay < inf and 0.0 <= self.lag < inf):
             raise ControlError(
                 f"a loop needs a frame rate above zero, a delay and a lag that are not negative, got "
                 f"{self.fps:g} 1/s, {self.delay:g} s and {self.lag:g} s"
@@ -210,10 +205,6 @@ class Margins:
     delay: float  # s, beyond the loop's own
     softest: float  # smallest true k over model k with a stable loop
     radius: float  # of the loop; unless below 1 the rest is 0 or NaN
-
-    @property
-    def stable(self) -> bool:
-        return self.radius < 1.0
 
 
 def margins(loop: SampledLoop) -> Margins:

@@ -198,10 +198,6 @@ class LoopTrial:
     run: LoopSimulation | None
 
     @property
-    def factor(self) -> float:
-        return self.beam.factor
-
-    @property
     def steady(self) -> float:
         """m: largest error in the last second."""
         return float("inf") if self.run is None else self.run.steady()

@@ -24,7 +24,6 @@ from onebend.control.reach import reach, reach_in_setup
 from onebend.control.shape import (
     Actuators,
     BeamState,
-    DescentResult,
     Grip,
     Pusher,
     ShapeSettings,
@@ -136,16 +135,6 @@ def knots_of(goals: Goals, length: float) -> Array:
     done = done / max(done[-1], 1e-12) + 0.25 * (time - time[0]) / (time[-1] - time[0])
     count = max(_FEWEST_KNOTS, int(np.ceil(np.sum(np.maximum(way, turn)) / _KNOT_SPACING)) + 1)
     return np.asarray(np.interp(np.linspace(0.0, done[-1], count), done, time))
-
-
-def _check(result: DescentResult, time: float) -> None:
-    if result.near_buckling:
-        raise ControlError(
-            f"at {time:.4g} s the beam is about to buckle (margin {result.state.margin:.3g}) on its way to the goal; "
-            "lead it another way, or give it a grip"
-        )
-    if not result.converged:
-        raise ControlError(f"at {time:.4g} s no stable shape closest to the goal was found; give more goals before it")
 
 
 # Goals of one point under one force, which can hold it only within a thin region. A straight path may leave it; so the
@@ -380,12 +369,20 @@ def _first_pass(
         )
     arm = float(beam.length) if settings.shape.arm is None else settings.shape.arm
     state, descent = first.state, settings.shape.descent
-    results = []
+    states, at_bound = [], []
     for time in knots.tolist():
-        results.append(descend(state, goals.at(time), arm, descent))
-        _check(results[-1], time)
-        state, descent = results[-1].state, replace(descent, damping=0.0)
-    return _KnottedPath(goals, knots, tuple(results), arm, settings)
+        result = descend(state, goals.at(time), arm, descent)
+        state, descent = result.state, replace(descent, damping=0.0)
+        states.append(state)
+        at_bound.append(bool(np.any(result.multipliers > 0.0)))
+        if result.near_buckling:
+            raise ControlError(
+                f"at {time:.4g} s the beam is about to buckle (margin {state.margin:.3g}) on its way to the goal; "
+                "lead it another way, or give it a grip"
+            )
+        if not result.converged:
+            raise ControlError(f"at {time:.4g} s no stable shape closest to the goal was found; give goals before it")
+    return _KnottedPath(goals, knots, tuple(states), np.array(at_bound), arm, settings)
 
 
 @dataclass(frozen=True)
@@ -394,17 +391,14 @@ class _KnottedPath:
 
     goals: Goals
     knots: Array  # (K,) s
-    results: tuple[DescentResult, ...]
+    states: tuple[BeamState, ...]
+    at_bound: BoolArray  # (K,)
     arm: float  # m
     settings: PathSettings
 
     @property
-    def states(self) -> list[BeamState]:
-        return [result.state for result in self.results]
-
-    @property
     def actuators(self) -> Actuators:
-        return self.results[0].state.actuators
+        return self.states[0].actuators
 
     def sampled(self) -> FollowedPath:
         """Samples at the requested rate, stretched for limits."""
@@ -460,9 +454,8 @@ class _KnottedPath:
         actuators, knots = self.actuators, self.knots
         xy, angle = self.goals.along(goal_time)
         frames, ok = settle(actuators, start, self.goals.targets, xy, angle, self.arm)
-        at_bound = np.array([bool(np.any(result.multipliers > 0.0)) for result in self.results])
         after = np.clip(np.searchsorted(knots, goal_time), 1, len(knots) - 1)
-        held = at_bound[after] | at_bound[after - 1]
+        held = self.at_bound[after] | self.at_bound[after - 1]
         for bound in actuators.bounds:
             held |= np.linalg.norm(frames.u[:, bound.columns], axis=1) > bound.most
         warm = replace(self.settings.shape.descent, damping=0.0)
@@ -478,9 +471,8 @@ class _KnottedPath:
 
     def _moving(self, frames: PathSamples) -> list[_Limited]:
         """Quantities with a finite limit."""
-        limits, every = self.settings.limits, []
-        for i in range(len(self.actuators.pushes)):
-            every.append((frames.u[:, 2 * i : 2 * i + 2], limits.force))
+        limits = self.settings.limits
+        every = [(frames.u[:, 2 * i : 2 * i + 2], limits.force) for i in range(len(self.actuators.pushes))]
         if self.actuators.grip is not None:
             poses = end_pose(self.actuators.problem, frames.q)
             every += [(poses[:, :2], limits.speed), (poses[:, 2:], limits.turning)]

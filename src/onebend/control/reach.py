@@ -423,9 +423,8 @@ def _instead(pushed: PushedBeam, settings: ReachSettings, nearest: NearestPoint)
     if nearest.distance <= settings.tolerance:
         held = "An end that is held can be stable where one under a load is not: see onebend shape --grip"
         return f"A force alone brings the point there: {needs}. {held}"
-    return (
-        f"The nearest reachable point is ({at[0]:.4g}, {at[1]:.4g}) mm, {1e3 * nearest.distance:.3g} mm away; {needs}"
-    )
+    where = f"({at[0]:.4g}, {at[1]:.4g}) mm, {1e3 * nearest.distance:.3g} mm away"
+    return f"The nearest reachable point is {where}; {needs}"
 
 
 def _result(
@@ -482,9 +481,9 @@ class ErrorEllipse:
     def outline(self, count: int = 97) -> Array:
         """(count, 2) m."""
         turn = np.linspace(0.0, 2.0 * np.pi, count)
-        x, y = self.semi_axes[0] * np.cos(turn), self.semi_axes[1] * np.sin(turn)
         cos, sin = math.cos(self.angle), math.sin(self.angle)
-        return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+        along = np.stack([np.cos(turn), np.sin(turn)], axis=-1) * self.semi_axes
+        return np.asarray(along @ np.array([[cos, sin], [-sin, cos]]))
 
 
 @dataclass(frozen=True)

@@ -51,11 +51,6 @@ class ReachableSet:
     points: Array  # (D, R, 2) m; NaN if not stable or bent too much
     q: Array  # (D, R, n) rad, the shapes
 
-    @property
-    def reached(self) -> BoolArray:
-        """(D, R)."""
-        return np.isfinite(self.points[..., 0])
-
     @one_blas_thread
     def nearest(self, goal: ArrayLike) -> NearestPoint:
         """The reachable point nearest to `goal` (2,) m: exact at the bound on the force; at other bounds a nearer one
@@ -114,7 +109,7 @@ def reachable(
     """
     if not (max_force > 0.0 and np.isfinite(max_force)):
         raise ControlError(f"the largest force must be positive, got {max_force:g} N")
-    ReachSettings(max_curvature=max_curvature)  # checked
+    loaded_beam.ReachSettings(max_curvature=max_curvature)  # checked
     if directions < 3 or sizes < 1:
         raise ControlError(f"at least 3 directions and 1 size are sampled, got {directions} and {sizes}")
     x, y = np.asarray(gravity, dtype=float).tolist()

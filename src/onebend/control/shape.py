@@ -234,6 +234,7 @@ def next_state(state: BeamState, z: Array, trust: float) -> BeamState | None:
 
 _MOST_DUAL_ITERATIONS = 60
 _BOUND_TOLERANCE = 1e-12  # of a bound
+_LEAST_SHARE = 2e-3  # of a step
 _FLAT_TO_NEWTON = 1e-11  # of the cost's largest curvature
 
 
@@ -306,18 +307,10 @@ def bounded_step(
         jacobian = steep[:, None] * (pulls_back @ np.linalg.solve(h, pulls_back.T))
         change = np.linalg.lstsq(jacobian, -room[binding], rcond=1e-14)[0]
         prices[binding] = np.maximum(prices[binding] + change, 0.0)
-    return np.asarray(z * _share(z, parts)), prices
-
-
-def _share(z: Array, parts: list[tuple[Array, Array, float]]) -> float:
-    share = 1.0
-    for _ in range(60):
-        if all(
-            np.linalg.norm(at + share * along @ z) <= (1.0 + 2.0 * _BOUND_TOLERANCE) * most for at, along, most in parts
-        ):
-            break
+    loose, share = 1.0 + 2.0 * _BOUND_TOLERANCE, 1.0
+    while share > _LEAST_SHARE and any(np.linalg.norm(at + share * by @ z) > loose * most for at, by, most in parts):
         share *= 0.9
-    return share
+    return np.asarray(z * share), prices
 
 
 _LAST_STEP = 1e-9  # rad

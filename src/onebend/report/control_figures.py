@@ -205,7 +205,7 @@ def looping(control: loop.Controller, trials: tuple[loop_simulation.LoopTrial, .
         if trial.run is None:
             continue
         colour, dash = LINES[1 if trial.beam.drawn else i]
-        name = "k(s) as the model" if trial.factor == 1.0 else f"k(s) times {trial.factor:.3g}"
+        name = "k(s) as the model" if trial.beam.factor == 1.0 else f"k(s) times {trial.beam.factor:.3g}"
         if trial.beam.drawn:  # one legend entry for all
             name = "k(s) drawn from its band" if i == 1 else ""
         away.semilogy(trial.run.time, MM * np.maximum(trial.run.error, LEAST), color=colour, ls=dash)

@@ -164,7 +164,7 @@ def loop_summary(model: str, control: Controller, known: Margins, trials: tuple[
         },
         "trials": [
             {
-                "k_factor": trial.factor,
+                "k_factor": trial.beam.factor,
                 "drawn": trial.beam.drawn,
                 "stands": trial.run is not None,
                 "steady_m": trial.steady,
@@ -178,7 +178,7 @@ def loop_summary(model: str, control: Controller, known: Margins, trials: tuple[
 def write_loop(folder: Path, trials: tuple[LoopTrial, ...]) -> None:
     """`loop.csv`, one row per time of every simulation."""
     rows = (
-        (trial.factor, time, *trial.run.xy[i], *trial.run.asked[i], *trial.run.force[i], trial.run.error[i])
+        (trial.beam.factor, time, *trial.run.xy[i], *trial.run.asked[i], *trial.run.force[i], trial.run.error[i])
         for trial in trials
         if trial.run is not None
         for i, time in enumerate(trial.run.time)

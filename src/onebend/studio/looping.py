@@ -122,7 +122,7 @@ def trial_data(trial: loop_simulation.LoopTrial) -> dict[str, Any]:
     """A run at up to `MOST_MOMENTS` moments."""
     said: dict[str, Any] = {
         "name": trial_name(trial),
-        "factor": trial.factor,
+        "factor": trial.beam.factor,
         "drawn": trial.beam.drawn,
         "steady_m": trial.steady,
         "settled_s": trial.settled(loop_simulation.SETTLED),

@@ -193,7 +193,7 @@ def test_a_beam_without_mass_is_controlled_and_has_no_frequencies() -> None:
     massless = replace(BEAM, mass_per_length=Uniform(0.0))
     control = controller(massless, massless.equilibrium(FORCE).xy(1.0))
     assert len(control.plant.omega) == 0
-    assert control.margins().stable
+    assert control.margins().radius < 1.0
 
 
 @pytest.mark.parametrize(

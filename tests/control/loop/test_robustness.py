@@ -31,12 +31,12 @@ def test_feedback_takes_off_what_a_wrong_stiffness_leaves() -> None:
     good, bad = (
         tuple(simulate_trials(one, wrong_beams(BEAM, 0.3), eye=eye, duration=3.0)) for one in (closed, open_loop)
     )
-    assert [one.factor for one in good] == [1.0, 0.7, 1.3]
+    assert [one.beam.factor for one in good] == [1.0, 0.7, 1.3]
     assert max(one.steady for one in good) < 3e-4
     assert bad[0].steady < 1e-4
     # Without feedback a softer beam ends where its own equilibrium under the model's force is.
     for one in bad[1:]:
-        other = Beam(BEAM.length, Scaled(one.factor, BEAM.stiffness))
+        other = Beam(BEAM.length, Scaled(one.beam.factor, BEAM.stiffness))
         there = other.equilibrium(open_loop.reference.ends).xy(1.0)
         assert one.steady == pytest.approx(float(np.linalg.norm(there - GOAL)), rel=0.02)
 
@@ -44,7 +44,7 @@ def test_feedback_takes_off_what_a_wrong_stiffness_leaves() -> None:
 def test_a_beam_of_unknown_mass_is_given_one() -> None:
     light = Beam(BEAM.length, BEAM.stiffness)
     (only,) = simulate_trials(controller(light, GOAL), wrong_beams(light, 0.0), eye=LoopCamera(noise=0.0), duration=2.5)
-    assert only.factor == 1.0
+    assert only.beam.factor == 1.0
     assert only.steady < 1e-3
 
 
