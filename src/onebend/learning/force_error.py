@@ -17,12 +17,14 @@ import numpy as np
 from scipy.linalg import solve_triangular, toeplitz
 from scipy.linalg.lapack import dtpqrt
 
+from onebend.recording.force import ForceSettings
 from onebend.recording.force_noise import LOAD, TimeSpans, covariance, displacement, load_changes, own_time
 from onebend.recording.signals import low_pass, low_pass_power
 from onebend.records import Array, CleanForce, ForceNoise, IntArray, Observations
 
 _MARGIN = 0.2  # s, kept away from contact when a rest is read, besides the low-pass's memory:
 _MEMORY = 1.0  # periods of its cut-off
+_BESIDE = ForceSettings.tare_span  # s before and after the film, where the force's zero is read, too
 _REACH = 2.0  # s, of the rest on either side of the push that counts at least: ten times the usual correlation time
 _MOST_KNOTS = 100  # two unknowns each: a bound on the size of a fit
 _SPACING = 0.25  # of the period of the cut-off: half of Nyquist's
@@ -215,14 +217,15 @@ def force_error(observations: Observations, time: Array) -> ForceError:
 
 
 def _told(observations: Observations, most: float) -> tuple[float, float]:
-    """s: from where to where the error of the log counts: the push, and the rests of the film beside it.
+    """s: from where to where the error of the log counts: the push, and the rests beside it.
 
-    Knots for `most` [s] are there; the push has them first. What acts before and after the film is unknown.
+    Knots for `most` [s] are there; the push has them first. What acts long before and after the film is unknown.
     """
     time = observations.time
     loaded = time[observations.loaded] if np.any(observations.loaded) else time
     reach = max(_REACH, 0.5 * (most - float(np.ptp(loaded))))
-    return float(max(time[0], loaded[0] - reach)), float(min(time[-1], loaded[-1] + reach))
+    begin, end = time[0] - _BESIDE, time[-1] + _BESIDE
+    return float(max(begin, loaded[0] - reach)), float(min(end, loaded[-1] + reach))
 
 
 def _in_rests(observations: Observations, span: tuple[float, float], step: float, margin: float) -> tuple[Array, Array]:

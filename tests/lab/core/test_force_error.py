@@ -142,11 +142,11 @@ def test_a_zero_that_ran_between_rests_is_expected_back() -> None:
     assert np.all(force_error(one, o.time[o.loaded]).mean == 0.0)
 
 
-def test_the_log_before_and_after_the_film_tells_no_error() -> None:
+def test_the_log_long_before_and_after_the_film_tells_no_error() -> None:
     o = seen(virtual_recording(BENCH, seed=0))
     clean = o.source.clean_force
     assert clean is not None
-    away = np.arange(1.0, 100.0)
+    away = np.arange(3.0, 100.0)
     time = np.concatenate([clean.time[0] - away[::-1], clean.time, clean.time[-1] + away])
     touched = np.pad(clean.force, ((len(away), len(away)), (0, 0)), constant_values=PEAK)
     longer = with_source(o, clean_force=replace(clean, time=time, force=touched))
