@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import solve_triangular, toeplitz
 from scipy.linalg.lapack import dtpqrt
 
-from onebend.recording.force import ForceSettings
+from onebend.recording.force import ForceSettings, within
 from onebend.recording.force_noise import LOAD, TimeSpans, covariance, displacement, load_changes, own_time
 from onebend.recording.signals import low_pass, low_pass_power
 from onebend.records import Array, CleanForce, ForceNoise, IntArray, Observations
@@ -219,12 +219,13 @@ def force_error(observations: Observations, time: Array) -> ForceError:
 def _told(observations: Observations, most: float) -> tuple[float, float]:
     """s: from where to where the error of the log counts: the push, and the rests beside it.
 
-    Knots for `most` [s] are there; the push has them first. What acts long before and after the film is unknown.
+    Knots for `most` [s] are there; the push has them first. What acts long before and after the film is unknown, and
+    where the beam is held at the film's begin or end, also what acts just beyond.
     """
-    time = observations.time
-    loaded = time[observations.loaded] if np.any(observations.loaded) else time
+    time, held = observations.time, observations.loaded
+    loaded = time[held] if np.any(held) else time
     reach = max(_REACH, 0.5 * (most - float(np.ptp(loaded))))
-    begin, end = time[0] - _BESIDE, time[-1] + _BESIDE
+    begin, end = time[0] - (0.0 if held[0] else _BESIDE), time[-1] + (0.0 if held[-1] else _BESIDE)
     return float(max(begin, loaded[0] - reach)), float(min(end, loaded[-1] + reach))
 
 
@@ -237,7 +238,7 @@ def _in_rests(observations: Observations, span: tuple[float, float], step: float
     if clean is None or not len(loaded):
         return np.zeros(0), np.zeros((0, 2))
     free = (clean.time < loaded[0] - margin) | (clean.time > loaded[-1] + margin)
-    free &= (clean.time >= span[0]) & (clean.time <= span[1]) & np.all(np.isfinite(clean.force), axis=1)
+    free &= within(clean.time, span) & np.all(np.isfinite(clean.force), axis=1)
     pick = _spread(clean.time, np.flatnonzero(free).astype(np.int64), step)
     return clean.time[pick], clean.force[pick]
 

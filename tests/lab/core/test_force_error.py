@@ -156,6 +156,20 @@ def test_the_log_long_before_and_after_the_film_tells_no_error() -> None:
     np.testing.assert_array_equal(long.knots, short.knots)
 
 
+def test_the_log_after_a_film_that_ends_while_the_beam_is_held_is_no_rest() -> None:
+    o = seen(virtual_recording(BENCH, seed=0))
+    held = np.flatnonzero(o.loaded)
+    cut = replace(o, loaded=o.loaded | (np.arange(len(o.time)) > held[-1]))  # as if never let go
+    clean = o.source.clean_force
+    assert clean is not None
+    after = clean.time[-1] + np.arange(0.1, 3.0, 0.01)
+    pressed = np.concatenate([clean.force, np.full((len(after), 2), PEAK)])
+    longer = replace(clean, time=np.concatenate([clean.time, after]), force=pressed)
+    rests = force_error(with_source(cut, clean_force=longer), o.time[o.loaded]).rest_values
+    assert len(rests) > 2
+    assert np.max(np.abs(rests)) < 0.1 * PEAK
+
+
 def test_long_rests_take_no_knots_from_the_push() -> None:
     long = replace(BENCH, push=replace(BENCH.push, before=60.0, after=30.0))
     found = [
