@@ -3,7 +3,8 @@
 More windows hardly narrow the band, because neighbouring frames share their errors. They only cost time.
 
 A window spans at most STEP of the largest displacement, TURN of the force's direction, and SECONDS. No window crosses a
-gap or an instant where the load begins, reverses or ends.
+gap, an instant where the load begins, reverses or ends, or one where a tag is lost or found again: the mean of the
+frames that show a tag is not its pose under the mean force of all.
 
 The mean of poses is not the pose under the mean force: both bend in time. Half the second derivative times the variance
 of the window's instants is subtracted, so that both are values at the mean instant. The derivative comes from the means
@@ -16,6 +17,7 @@ estimate the white part.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 
@@ -28,6 +30,7 @@ from onebend.records import Array, BoolArray, FrameMeans, IntArray, Observations
 STEP = 0.02  # of the largest displacement
 TURN = 0.05  # rad, of the force
 SECONDS = 0.2
+GAP = 0.05  # s: over a shorter one a tag moves straight on
 EACH_PUSH = 60  # windows of one push, there and back (benchmarks/notes/one_recording.md)
 _FIRM = 0.2  # of the largest force: the direction of a smaller one is noise
 _THIRD = 20.0  # variance of the third difference of white noise of variance one
@@ -58,12 +61,17 @@ def windows_of(o: Observations, learnable: BoolArray) -> list[list[IntArray]]:
     """The frames of each window, in order, by the parts of the push; `learnable` (T,)."""
     size, most = displacement(o.time, o.xy, o.rest_xy), worth(o)
     parts = [(frames, _window_spans(o, frames, size)) for frames in _parts(o, learnable, size)]
-    coarser = 1.0
-    while True:
-        windows = [_split(frames, along / coarser) for frames, along in parts]
-        if sum(map(len, windows)) <= max(most, len(parts)):
-            return windows
+    coarser, windows = 1.0, [_split(*part) for part in parts]
+    while sum(map(len, windows)) > max(most, len(parts)):
         coarser *= 1.05
+        windows = [_split(frames, along / coarser) for frames, along in parts]
+    seen = np.isfinite(bridged(o.time, o.xy[:, tags_among(o)].reshape(len(o.time), -1), GAP))
+    sight = np.append(0, np.cumsum(np.any(np.diff(seen, axis=0), axis=1)))  # another number, other tags are seen
+    out = list[list[IntArray]]()
+    for part in windows:
+        pieces = [one for window in part for one in np.split(window, np.flatnonzero(np.diff(sight[window])) + 1)]
+        out += [list(alike) for _, alike in groupby(pieces, key=lambda one: int(sight[one[0]]))]
+    return out
 
 
 def _parts(o: Observations, learnable: BoolArray, size: Array) -> list[IntArray]:
@@ -124,12 +132,12 @@ def averaged(o: Observations, parts: list[list[IntArray]]) -> Observations:
 
     def at_mean_instant(values: Array) -> Array:
         means = mean(values)
-        bent = second_differences(time, means.reshape(len(means), -1), part).reshape(means.shape)
+        bent = np.nan_to_num(second_differences(time, means.reshape(len(means), -1), part).reshape(means.shape))
         return np.asarray(means - 0.5 * bent * variance.reshape(-1, *[1] * (means.ndim - 1)))
 
-    filled = bridged(o.time, poses.reshape(len(poses), -1)).reshape(poses.shape)
-    seen = mean(np.isfinite(poses).astype(float))
-    pose = np.where(seen > 0.0, at_mean_instant(filled), np.nan)
+    filled = bridged(o.time, poses.reshape(len(poses), -1), GAP).reshape(poses.shape)
+    seen = np.logical_or.reduceat(np.isfinite(poses), starts, axis=0)
+    pose = np.where(seen, at_mean_instant(filled), np.nan)
     known = np.all(np.isfinite(o.covariance), axis=(-1, -2))
     frames = total(known.astype(float))[..., None, None]  # in which each tag was seen
     of_all = total(np.where(known[..., None, None], o.covariance, 0.0))

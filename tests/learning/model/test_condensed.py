@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from onebend.learning import condensed as condensing, posterior
 from onebend.learning.condensed import (
     EACH_PUSH,
+    GAP,
     averaged,
     condensed,
     mean_variance,
@@ -67,6 +69,7 @@ def test_the_covariance_of_a_mean_is_that_of_simulated_noise() -> None:
 def test_the_mean_of_a_tag_that_was_seen_less_often_is_less_exact() -> None:
     assert np.allclose(mean_variance(np.array([1.0, 0.5, 0.0]), np.array([4.0, 4.0, 4.0])), [0.25, 0.625, 1.0])
     seen = pushed()
+    seen = replace(seen, time=0.4 * GAP / np.mean(np.diff(seen.time)) * seen.time)  # every gap is bridged
     hidden = replace(seen, xy=seen.xy.copy(), covariance=seen.covariance.copy())
     hidden.xy[1::2, 0] = np.nan
     hidden.covariance[1::2, 0] = np.nan
@@ -75,6 +78,21 @@ def test_the_mean_of_a_tag_that_was_seen_less_often_is_less_exact() -> None:
     share = part.covariance[:, 0, 0, 0] / whole.covariance[:, 0, 0, 0]
     assert np.all(share > 1.5)
     np.testing.assert_allclose(part.xy[2:-2, 0], whole.xy[2:-2, 0], atol=1e-4)  # at the mean instant of all frames
+
+
+def test_no_mean_is_of_more_frames_than_show_a_tag() -> None:
+    seen = observed(SOFT, forces(150), noise=(1e-9, 1e-7))
+    hidden = replace(seen, xy=seen.xy.copy(), angle=seen.angle.copy(), covariance=seen.covariance.copy())
+    for values in (hidden.xy, hidden.angle, hidden.covariance):
+        values[31:122, -1] = np.nan
+    found = condensed(hidden)
+    assert len(found.time) < 100
+    shown = np.isfinite(found.xy[:, -1, 0])
+    np.testing.assert_array_equal(shown, (found.time < seen.time[31]) | (found.time > seen.time[121]))
+    true = CubicSpline(seen.time, seen.xy[:, -1])(found.time)
+    force = CubicSpline(seen.time, seen.force)(found.time)
+    np.testing.assert_allclose(found.force, force, atol=1e-3 * np.max(force))
+    np.testing.assert_allclose(found.xy[shown, -1], true[shown], atol=1e-3 * np.ptp(true))
 
 
 def test_third_differences_tell_the_white_share() -> None:
