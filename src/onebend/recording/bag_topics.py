@@ -99,7 +99,7 @@ def picture_of(message: Any, place: str, *, colour: bool = False) -> Pixels:
     if not hasattr(message, "encoding"):
         return unpacked(message, place, colour)
     height, width, name = int(message.height), int(message.width), str(message.encoding)
-    data = np.asarray(message.data, dtype=np.uint8)
+    data = np.frombuffer(bytes(message.data), dtype=np.uint8)
     size = COLOURS[name][0] if name in COLOURS else 2 if name in LUMA_AT else GREYS.get(name, 1)
     if name not in (*COLOURS, *GREYS, *LUMA_AT, *MOSAICS):
         known = ", ".join((*GREYS, *COLOURS, *MOSAICS, *LUMA_AT))
