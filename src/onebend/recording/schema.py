@@ -45,7 +45,6 @@ def key(name: str, check: Check, default: Any = dataclasses.MISSING) -> Any:
     return field(default=default, metadata={"key": Key(name, check)})
 
 
-@cache
 def keys_of(record: type) -> dict[str, tuple[Key, bool]]:
     """Field name -> (key, required) of a record declared with `key`, in the order of declaration."""
     said = explanations(Path(str(sys.modules[record.__module__].__file__)).with_name("keys.toml"))
