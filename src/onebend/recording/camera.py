@@ -238,6 +238,7 @@ def motion_remarks(pose: Poses, moving: bool, expected: bool) -> list[Remark]:
     ]
 
 
+FIRST = 5  # frames that tell how far apart tags are before they can have moved
 FARTHEST = 99.0  # percentile of the distances that counts as the largest
 
 
@@ -405,39 +406,37 @@ def lasting_base(corners: Array) -> tuple[int, Array]:
     return tag, np.asarray(corners[nearest, tag : tag + 1])
 
 
-def check_lengths(xy: Array, rec: Recording) -> None:
-    """An error where neighbouring tags (T, m, 2) [m] are not as far apart as the beam between them is long."""
-    worst, ratio = lengths_apart(xy, rec, "the base", "tag")
-    if worst:
-        fitting = 1000 * rec.tags.size / ratio
-        raise ObservationError(
-            f"{rec.name}: {worst}.{order_hint(xy, rec)} Correct size_m (now {1000 * rec.tags.size:g} mm; about "
-            f"{fitting:.3g} mm would fit), length_m (now {1000 * rec.beam.length:g} mm) or the tags' s.",
-            about="tag places",
-        )
-
-
-def lengths_apart(xy: Array, rec: Recording, base: str, kind: str) -> tuple[str, float]:
-    """The first two neighbours that are farther apart than the beam between them, or always much nearer, in words ("":
-    there are none); and the median ratio of largest distance to arc. `xy` (T, m, 2) m in the base's frame."""
+def check_lengths(xy: Array, rec: Recording, base: str = "the base", kind: str = "tag", hint: str = "") -> None:
+    """An error where neighbours (T, m, 2) [m], in the base's frame, are farther apart than the beam between them, or
+    always much nearer. `hint`: what else may be wrong than the tags' size."""
     places = [(0.0, base, np.zeros((len(xy), 2)))]
     places += [(tag.s, f"{kind} {tag.id}", xy[:, i]) for i, tag in enumerate(rec.tags.on_beam)]
     places.sort(key=lambda place: place[0])
-    ratios, worst = [], ""
+    ratios, worst, loose = [], "", ""
     slack = 3 * np.sqrt(2) * rec.tags.placement_sd
     for (s, name, position), (next_s, next_name, next_position) in pairwise(places):
         distance, arc = np.linalg.norm(next_position - position, axis=1), (next_s - s) * rec.beam.length
-        if not np.isfinite(distance).any() or arc == 0.0:
+        distance = distance[np.isfinite(distance)]
+        if not len(distance) or arc == 0.0:
             continue
-        farthest = float(np.nanpercentile(distance, FARTHEST))
+        farthest, first = float(np.percentile(distance, FARTHEST)), float(np.median(distance[:FIRST]))
         ratios.append(farthest / arc)
         # Of the arc: a chord is never longer, and 0.6 of it only where the beam turns by 200 degrees.
         if not worst and not 0.6 * arc - slack <= farthest <= 1.05 * arc + slack:
             worst = (
                 f"{name} and {next_name} are {1000 * farthest:.4g} mm apart at most, recording.toml puts "
-                f"{1000 * arc:.4g} mm of beam between them"
+                f"{1000 * arc:.4g} mm of beam between them."
             )
-    return worst, float(np.median(ratios)) if ratios else math.nan
+            if abs(first - arc) <= 0.05 * arc + slack < farthest - arc:
+                loose = f"At first they are {1000 * first:.4g} mm apart: one slid or came off. Glue it, and record anew."
+    if not worst:
+        return
+    order, size, ratio = order_hint(xy, rec), 1000 * rec.tags.size, float(np.median(ratios))
+    other = not order and abs(ratio - 1.0) > 0.02  # one size that is nearly right explains nothing
+    fits = f"size_m (now {size:g} mm; about {size / ratio:.3g} mm would fit), " if other else ""
+    remedy = loose or hint or f"Correct {fits}length_m (now {1000 * rec.beam.length:g} mm) or the tags' s."
+    about = "loose" if loose else "unit" if hint else "tag places"
+    raise ObservationError(f"{rec.name}: {worst}{'' if loose else order} {remedy}", about=about)
 
 
 def order_hint(xy: Array, rec: Recording) -> str:

@@ -310,9 +310,8 @@ def track_markers(rec: Recording, settings: force.ContactSettings = force.Contac
     )
     origin, direction = clamp_frame(rec, tracks, raw, settings)
     xy = rotated(in_base - origin, np.array(-direction))
-    if worst := camera.lengths_apart(xy, rec, "the clamp", "marker")[0]:
-        hint = "Are x_m and y_m in metres? Check length_m and the markers' ids and s."
-        raise ObservationError(f"{rec.name}: {worst}.{camera.order_hint(xy, rec)} {hint}", about="unit")
+    hint = "Are x_m and y_m in metres? Check length_m and the markers' ids and s."
+    camera.check_lengths(xy, rec, "the clamp", "marker", hint)
     if tags:
         check_angles(xy[:, : len(tags)], raw.s[: len(tags)], angle[:, : len(tags)], rec.name)
     turned = replace(raw, xy=xy, angle=camera.unwrap(angle - direction))

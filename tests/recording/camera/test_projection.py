@@ -30,7 +30,7 @@ from onebend.recording.plane import (
     to_plane,
     undistort,
 )
-from onebend.records import Array, Detections, covariance_with_camera
+from onebend.records import Array, Detections, covariance_with_camera, unit
 from tests.recording.filmed import HEIGHT, LENGTH, SIZE, WIDTH, corners_of, detections, poses, recording, view
 
 TRUE = poses(60)
@@ -280,6 +280,19 @@ def test_base_is_averaged_by_weight() -> None:
 def test_wrong_tag_size_or_length_is_refused(factor: float) -> None:
     with pytest.raises(ObservationError, match=r"mm apart.*size_m .*about 12 mm would fit.*length_m"):
         measure_markers(detections(corners_of(TRUE, SEEN)), recording(calibrated=SEEN, size=SIZE * factor))
+
+
+def test_a_tag_that_moved_is_no_wrong_size_or_place() -> None:
+    slid = TRUE.copy()
+    slid[30:, 3, :2] += 0.15 * LENGTH * unit(slid[30:, 3, 2])
+    with pytest.raises(ObservationError, match="At first they are .* mm apart: one slid or came off") as caught:
+        measure_markers(detections(corners_of(slid, SEEN)), recording(calibrated=SEEN))
+    assert "size_m" not in str(caught.value)
+    elsewhere = recording(calibrated=SEEN)
+    *others, tip = elsewhere.tags.on_beam
+    elsewhere = replace(elsewhere, tags=replace(elsewhere.tags, on_beam=(*others, replace(tip, s=tip.s - 0.15))))
+    with pytest.raises(ObservationError, match=r"Correct length_m .* or the tags' s\."):
+        measure_markers(detections(corners_of(TRUE, SEEN)), elsewhere)
 
 
 def test_calibration_of_another_picture_is_refused() -> None:
