@@ -108,6 +108,13 @@ def test_a_film_at_a_wrong_rate_is_told_to_look_at_it() -> None:
         assemble(recording(), slow, PUSHED.log(), None, ObserveSettings())
 
 
+def test_a_wrong_start_is_not_taken_for_wrong_axes() -> None:
+    for start in (246.5, 254.5):
+        video = VideoEntry(Path("video.mp4"), start=start, start_uncertainty=1.0)
+        with pytest.raises(ObservationError, match=r"fits it from 250\.\d\d s on. Correct start_s"):
+            observed(rec=recording(video=video))
+
+
 def test_a_swap_is_named_in_the_axes_of_the_log() -> None:
     log = PUSHED.log()
     entry = ForceEntry(Path("force.csv"), rotation=math.radians(30))

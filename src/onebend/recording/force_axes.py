@@ -206,7 +206,8 @@ def check_direction(
     if rec.markers is not None:
         text += f" Or the axes of {rec.markers.file.name} are not those of the log: x_m, y_m and angle_rad."
     if refuse and reading.impossible:
-        text = f"{text} {_or_the_clocks(rec, markers)}".rstrip()
+        seconds = float(markers.time[-1] - markers.time[0])
+        text += f" Or the film's frame rate is wrong (by it the film lasts {seconds:.3g} s)." if rec.video else ""
         raise ObservationError(f"{rec.name}: {text}", about="axes")
     share = math.sqrt(reading.unexplained["as it is"])
     return (Remark("warning", text, doubt=reading.impossible or reading.exact, about="axes", share=share),)
@@ -227,14 +228,3 @@ def check_place(
         "Check at_s in [push] (a share of the length, 1 at the tip), and the tags' s."
     )
     return (Remark("warning", text, doubt=True, about="push place"),)
-
-
-def _or_the_clocks(rec: Recording, markers: Markers) -> str:
-    """Other mistakes that look like a force that contradicts the bending: a sentence, or nothing."""
-    seconds = float(markers.time[-1] - markers.time[0])
-    of_film = f"the film's frame rate is wrong (by it the film lasts {seconds:.3g} s)"
-    table = "video" if rec.video is not None else "markers"
-    of_start = f"start_s in [{table}] is farther off than start_uncertainty_s: without it the whole log is searched"
-    possible = [of_film] if rec.video is not None else []
-    possible += [of_start] if math.isfinite(rec.start[0]) else []
-    return f"Or {', or '.join(possible)}." if possible else ""

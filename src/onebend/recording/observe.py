@@ -154,7 +154,35 @@ def assemble(
     base: BaseLog | None,
     settings: ObserveSettings,
 ) -> records.Observations:
-    """Markers and logs on one clock and in one frame."""
+    """Markers and logs on one clock and in one frame. Where the force contradicts the bending from the stated start on,
+    but fits it from another one, that start is said to be wrong."""
+    try:
+        return _assembled(rec, markers, log, base, settings)
+    except ObservationError as wrong:
+        if wrong.about != "axes" or not np.isfinite(rec.start[0]):
+            raise
+        name = "video" if rec.video else "markers"
+        unknown = replace(getattr(rec, name), start=np.nan, start_uncertainty=np.inf)
+        try:
+            found = _assembled(replace(rec, **{name: unknown}), markers, log, base, settings).source
+        except ObservationError:
+            raise wrong from None
+        if found.clock is None or not found.clock.found or any(one.about == "axes" for one in found.remarks):
+            raise
+        raise ObservationError(
+            f"{rec.name}: The force contradicts the bending if the film (or the tracks) starts near {rec.start[0]:g} s "
+            f"on the log's clock, and fits it from {found.clock.offset:.2f} s on. Correct start_s.",
+            about="clock",
+        ) from None
+
+
+def _assembled(
+    rec: Recording,
+    markers: records.Markers,
+    log: records.ForceLog | None,
+    base: BaseLog | None,
+    settings: ObserveSettings,
+) -> records.Observations:
     if len(markers.time) < FEWEST_FRAMES:
         raise ObservationError(
             f"{rec.name}: there are {len(markers.time)} frames; at least {FEWEST_FRAMES} are needed. Film (or track) "
