@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -428,7 +427,7 @@ def check_lengths(xy: Array, rec: Recording, base: str = "the base", kind: str =
                 f"{1000 * arc:.4g} mm of beam between them."
             )
             if abs(first - arc) <= 0.05 * arc + slack < farthest - arc:
-                loose = f"At first they are {1000 * first:.4g} mm apart: one slid or came off. Glue it, and record anew."
+                loose = f"At first it is {1000 * first:.4g} mm: one slid or came off. Glue it, and record anew."
     if not worst:
         return
     order, size, ratio = order_hint(xy, rec), 1000 * rec.tags.size, float(np.median(ratios))
