@@ -18,6 +18,7 @@ from onebend.beam.stiffness import Profile, RectangularSection, Uniform
 from onebend.errors import LearningError
 from onebend.learning.frames import push_places
 from onebend.recording.plane import HEIGHT_SD, camera_place
+from onebend.recording.signals import bridged
 from onebend.records import Array, BoolArray, Observations, PointMass, View, left_of, tags_among, unit
 
 # Where an allowance enters the model, and what its `basis` is there. F frames, Q nodes, m tags, n parameters:
@@ -367,30 +368,23 @@ def inertial_force(
 
 
 def tag_accelerations(observations: Observations) -> Array | None:
-    """(T, m, 2) m/s^2 by polynomials over a few frames; None for films that are too short, or of uneven frames."""
+    """(T, m, 2) m/s^2 by polynomials over a few frames, of a tag that is hidden in proportion to its neighbour's; None
+    for films that are too short, or of uneven frames."""
     if observations.means is not None:
         return observations.means.acceleration
-    return second_derivative(observations.time, observations.xy)
-
-
-def second_derivative(time: Array, values: Array) -> Array | None:
-    """(T, ...) of values (T, ...) with `time` (T,), as in `tag_accelerations`; NaN counts as not measured."""
-    if len(time) < 2 * _WINDOW:
+    time, count = observations.time, len(observations.time)
+    if count < 2 * _WINDOW:
         return None
     step = float(np.median(np.diff(time)))
     even = np.arange(time[0], time[-1] + 0.5 * step, step)
-    if len(even) > 2 * len(time):
+    if len(even) > 2 * count:
         return None
-    flat = values.reshape(len(time), -1)
-    known = [np.isfinite(column) for column in flat.T]
-    if any(np.sum(k) < _WINDOW for k in known):
-        return None
-    filled = np.stack([np.interp(even, time[k], c[k]) for k, c in zip(known, flat.T, strict=True)], axis=1)
+    flat = bridged(time, observations.xy.reshape(count, -1), _WINDOW // 2 * step)
     powers = np.vander((np.arange(_WINDOW) - _WINDOW // 2) * step, _DEGREE + 1, increasing=True)
     weights = 2.0 * np.linalg.pinv(powers)[2]  # of the best polynomial, in the middle (Savitzky, Golay)
-    second = np.stack([np.convolve(np.pad(c, _WINDOW // 2, mode="edge"), weights[::-1], "valid") for c in filled.T], 1)
-    back = np.stack([np.interp(time, even, c) for c in second.T], axis=1)
-    return np.asarray(back.reshape(values.shape))
+    evenly = [np.pad(np.interp(even, time, c), _WINDOW // 2, mode="edge") for c in flat.T]
+    back = [np.interp(time, even, np.convolve(c, weights[::-1], "valid")) for c in evenly]
+    return filled(np.stack(back, axis=1).reshape(observations.xy.shape))
 
 
 LENGTH_SD = 0.005  # of the length

@@ -39,13 +39,18 @@ def test_accelerations_of_parabolas_are_exact() -> None:
     np.testing.assert_allclose(found[INNER], expected, rtol=1e-6, atol=1e-9)
 
 
-def test_a_hidden_frame_is_bridged_and_a_short_film_tells_nothing() -> None:
+def test_a_hidden_frame_is_bridged_a_hidden_tag_follows_its_neighbour_and_a_short_film_tells_nothing() -> None:
     o = falling()
     xy = o.xy.copy()
     xy[10, 1] = np.nan
     found = tag_accelerations(replace(o, xy=xy))
     assert found is not None
     np.testing.assert_allclose(found[20, 1], 2.0 / 3.0 * PULL, rtol=1e-6)
+    long = o.xy.copy()
+    long[FRAMES // 3 : 2 * FRAMES // 3, 2] = np.nan
+    found = tag_accelerations(replace(o, xy=long))
+    assert found is not None
+    np.testing.assert_allclose(found[INNER, 2], np.broadcast_to(PULL, found[INNER, 2].shape), rtol=1e-3, atol=1e-9)
     few = replace(o, time=o.time[:13], xy=o.xy[:13])
     assert tag_accelerations(few) is None
 
