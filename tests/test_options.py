@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field
 from inspect import Parameter, signature
+from pathlib import Path
 from typing import Annotated, Any
 
 import pytest
 import typer
 from typer.testing import CliRunner
 
-from onebend.options import POSITIVE, Only, expanded, option
+import onebend
+from onebend.options import POSITIVE, Only, expanded, helps, option
 
 
 @dataclass(frozen=True)
@@ -84,3 +87,11 @@ def test_a_command_without_settings_keeps_its_parameters() -> None:
     assert list(signature(expanded(command)).parameters.values()) == [
         Parameter("name", Parameter.KEYWORD_ONLY, default="beam", annotation=str)
     ]
+
+
+def test_every_help_is_of_an_option_that_there_is() -> None:
+    """An option without its help is an error as soon as its command is loaded."""
+    source = "".join(path.read_text(encoding="utf-8") for path in Path(onebend.__file__).parent.rglob("*.py"))
+    for kind, said in helps().items():
+        [body] = re.findall(rf"^class {kind}\b.*?(?=^[^\s])", source, re.MULTILINE | re.DOTALL)
+        assert re.findall(r' option\("(--[^"]+)"', body) == list(said), kind

@@ -1,18 +1,20 @@
 """Options of the command line, declared on the fields of the settings that they fill.
 
-`option` declares a field's option: its name, default, range and help stand there alone. A command takes the settings as
-one parameter, and `expanded` makes an option of each of its fields. An option has the unit at the end of its name, the
-field SI units.
+`option` declares a field's option: its name, default and range stand there alone, and its help in `options.toml`. A
+command takes the settings as one parameter, and `expanded` makes an option of each of its fields. An option has the
+unit at the end of its name, the field SI units.
 """
 
 from __future__ import annotations
 
 import math
 import re
+import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from functools import wraps
+from functools import cache, wraps
 from inspect import Parameter, signature
+from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 POSITIVE, NOT_NEGATIVE = (1e-6, 1e9), (0.0, 1e9)  # ranges; numbers beyond them are no measures of a beam
@@ -25,7 +27,7 @@ class Option:
     """An option of a field; its range is in its own unit."""
 
     name: str
-    help: str
+    help: str | None  # None: in `options.toml`
     metavar: str | None
     within: tuple[float | None, float | None]
     scale: float  # of the option's unit in SI
@@ -57,7 +59,7 @@ class Only:
 def option(
     name: str,
     default: Any,
-    help: str,
+    help: str | None = None,
     *,
     metavar: str | None = None,
     within: tuple[float | None, float | None] = (None, None),
@@ -68,6 +70,7 @@ def option(
     Args:
         default: of the field, in SI units. The option has none where it is NaN, infinite or None.
         metavar: default: the unit at the end of the name.
+        help: default: that of `options.toml`, under the name of the settings' class.
         within: the least and the largest value that may be given, in the option's unit.
         scale: the option's unit in SI; None: by the end of its name.
     """
@@ -127,9 +130,16 @@ def _parameters(settings: Any) -> Iterator[Parameter]:
         else:
             shown, (low, high) = said.shown(default), said.within
             kind = list[get_args(kind)[0]] if get_origin(kind) is tuple else kind  # type: ignore[misc]
-            info = typer.Option(said.name, help=said.help, metavar=said.metavar, min=low, max=high)
+            help = said.help or helps()[_bare(settings).__name__][said.name]
+            info = typer.Option(said.name, help=help, metavar=said.metavar, min=low, max=high)
             annotation: Any = Annotated[kind | None if shown is None else kind, info]
             yield Parameter(_key(said), Parameter.KEYWORD_ONLY, default=shown, annotation=annotation)
+
+
+@cache
+def helps() -> dict[str, dict[str, str]]:
+    """The help of each option, by the class of its settings: `options.toml`."""
+    return tomllib.loads(Path(__file__).with_name("options.toml").read_text(encoding="utf-8"))
 
 
 def _filled(settings: Any, given: Mapping[str, Any]) -> Any:

@@ -216,20 +216,10 @@ FrameName = Annotated[str, typer.Option("--frame", metavar="NAME", help="The bea
 class Hands:
     """Pushes and grip of a command."""
 
-    grip: bool = option("--grip", False, "A gripper holds the end s = 1 at a position and an angle.")
-    push_at: tuple[float, ...] = option(
-        "--push-at",
-        (),
-        "A force acts here: s in (0, 1]; may be repeated. Default: the tip.",
-        metavar="S",
-        within=(common.LEAST, 1.0),
-    )
-    max_force: float = option(
-        "--max-force-N", math.inf, "Of every push and of the gripper; default: no bound.", within=POSITIVE
-    )
-    max_moment: float = option(
-        "--max-moment-N-m", math.inf, "Of the gripper; default: no bound.", metavar="N_M", within=POSITIVE
-    )
+    grip: bool = option("--grip", False)
+    push_at: tuple[float, ...] = option("--push-at", (), metavar="S", within=(common.LEAST, 1.0))
+    max_force: float = option("--max-force-N", math.inf, within=POSITIVE)
+    max_moment: float = option("--max-moment-N-m", math.inf, metavar="N_M", within=POSITIVE)
 
     def actuators(self) -> tuple[tuple[Pusher, ...], Grip | None]:
         """Default: a push at the tip, or with a grip none."""

@@ -44,9 +44,9 @@ FilmFolder = Annotated[
 class FilmOptions:
     """What a film shows beside the push."""
 
-    effects: bool = option("--effects", False, "Effects of real benches, drawn at random: stretch, relaxation ...")
-    markers: bool = option("--markers", False, "Tracked markers instead of a film; takes a second. Slow pushes only.")
-    seed: int = option("--seed", 0, "The same seed makes the same files.", metavar="N", within=(0, None))
+    effects: bool = option("--effects", False)
+    markers: bool = option("--markers", False)
+    seed: int = option("--seed", 0, metavar="N", within=(0, None))
 
 
 FILM_FORMAT, DESIGN_FORMAT, TAGS_FORMAT = "onebend-film-1", "onebend-design-1", "onebend-tags-1"
@@ -163,11 +163,11 @@ ReplaceFiles = Annotated[bool, typer.Option("--force", "--overwrite", help="Repl
 class TagOptions:
     """The tags of a sheet, and how it looks."""
 
-    ids: str | None = option("--ids", None, "Such as 0-4 or 0,3,7-9.", metavar="IDS")
-    size: float | None = option("--size-mm", None, "Side of the black square; default: 12.", within=(0.5, common.MOST))
-    family: str | None = option("--family", None, "Default: tag36h11.", metavar="FAMILY")
-    rim: float = option("--rim-cells", 1.0, "White around the black square.", metavar="N", within=(1.0, common.MOST))
-    page: Literal["a4", "letter"] = option("--page", "a4", "Size of the paper.")
+    ids: str | None = option("--ids", None, metavar="IDS")
+    size: float | None = option("--size-mm", None, within=(0.5, common.MOST))
+    family: str | None = option("--family", None, metavar="FAMILY")
+    rim: float = option("--rim-cells", 1.0, metavar="N", within=(1.0, common.MOST))
+    page: Literal["a4", "letter"] = option("--page", "a4")
 
 
 MOST_TAGS = 1000

@@ -98,13 +98,9 @@ Results = Annotated[
 class BatchOptions:
     """Who learns, and what is written."""
 
-    workers: int | None = option(
-        "--workers", None, "Number of processes; default: one per core.", metavar="N", within=(1, None)
-    )
-    scheduler: str | None = option(
-        "--scheduler", None, "Dask cluster that sees these folders under the same paths.", metavar="ADDRESS"
-    )
-    folders: bool = option("--folders", False, "Also write a results folder of each recording, without pictures.")
+    workers: int | None = option("--workers", None, metavar="N", within=(1, None))
+    scheduler: str | None = option("--scheduler", None, metavar="ADDRESS")
+    folders: bool = option("--folders", False)
 
 
 def batch(
