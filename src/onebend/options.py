@@ -11,6 +11,7 @@ import math
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
+from copy import copy
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cache, wraps
 from inspect import Parameter, signature
@@ -86,15 +87,15 @@ def _unit(name: str) -> str | None:
     return (f"{unit}/{per}" if per else unit).upper()
 
 
-def expanded(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with an option for each declared field in place of its parameters that are settings."""
+def expanded(command: Callable[..., None], name: str = "") -> Callable[..., None]:
+    """The command with an option for each declared field in place of its parameters that are settings; the others with
+    the help that `options.toml` has of them under the command's `name`, or of `every` command."""
     kinds = get_type_hints(command, include_extras=True)
     parameters = list(signature(command).parameters.values())
     settings = {one.name: kinds[one.name] for one in parameters if is_dataclass(_bare(kinds[one.name]))}
     flat: list[Parameter] = []
     for one in parameters:
-        own = _parameters(settings[one.name]) if one.name in settings else [one.replace(annotation=kinds[one.name])]
-        flat += own
+        flat += _parameters(settings[one.name]) if one.name in settings else [_helped(one, kinds[one.name], name)]
 
     @wraps(command)
     def inside(**given: Any) -> None:
@@ -104,6 +105,15 @@ def expanded(command: Callable[..., None]) -> Callable[..., None]:
     inside.__signature__ = signature(command).replace(parameters=flat)  # type: ignore[attr-defined]
     inside.__annotations__ = {one.name: one.annotation for one in flat}
     return inside
+
+
+def _helped(one: Parameter, kind: Any, command: str) -> Parameter:
+    if get_origin(kind) is Annotated:
+        bare, said = get_args(kind)
+        said = copy(said)
+        said.help = said.help or {**helps()["every"], **helps().get(command, {})}.get(one.name)
+        kind = Annotated[bare, said]
+    return one.replace(annotation=kind)
 
 
 def _bare(kind: Any) -> Any:

@@ -32,9 +32,9 @@ from onebend.progress import Progress, Silent
 from onebend.recording.entries import Recording
 from onebend.recording.folder import FILE_NAME, folder_of, read_recording
 
-Out = Annotated[Path, typer.Argument(metavar="DIR", help="Folder to record into; with recording.toml, or --like.")]
-Goal = Annotated[tuple[float, float] | None, typer.Option("--goal", metavar="X Y", help="m, in the beam's frame.")]
-Replace = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier recording in DIR.")]
+Out = Annotated[Path, typer.Argument(metavar="DIR")]
+Goal = Annotated[tuple[float, float] | None, typer.Option("--goal", metavar="X Y")]
+Replace = Annotated[bool, typer.Option("--overwrite")]
 
 
 @dataclass(frozen=True)

@@ -29,15 +29,8 @@ from onebend.recording.folder import read_recording
 from onebend.report.sentences import say, significant, worded
 from onebend.results.model import StoredModel, model_text
 
-Design = Annotated[
-    str,
-    typer.Argument(
-        metavar="DESIGN", help="A named design, a design.toml, or `random`: everything is drawn from the seed."
-    ),
-]
-FilmFolder = Annotated[
-    Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder to make; default: DESIGN-PUSH.")
-]
+Design = Annotated[str, typer.Argument(metavar="DESIGN")]
+FilmFolder = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT")]
 
 
 @dataclass(frozen=True)
@@ -143,20 +136,12 @@ def bends_table(expected: designs.Expected) -> Table:
     return table
 
 
-DesignName = Annotated[
-    str | None, typer.Argument(metavar="DESIGN", help="uniform, linear, quadratic, cubic, or a design's TOML file.")
-]
-NewDesign = Annotated[
-    Path | None, typer.Option("--new", metavar="FILE", help="Write a design file to fill in, and nothing else.")
-]
-DesignModel = Annotated[
-    Path | None, typer.Option("--model", metavar="FILE", help="Write the designed beam as a model.json.")
-]
-StripOf = Annotated[
-    Path | None, typer.Argument(metavar="[REC]", help="A recording: its tags, and a page with their places.")
-]
-SheetFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="A .pdf, or one .svg per page.")]
-ReplaceFiles = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace files that are there.")]
+DesignName = Annotated[str | None, typer.Argument(metavar="DESIGN")]
+NewDesign = Annotated[Path | None, typer.Option("--new", metavar="FILE")]
+DesignModel = Annotated[Path | None, typer.Option("--model", metavar="FILE")]
+StripOf = Annotated[Path | None, typer.Argument(metavar="[REC]")]
+SheetFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE")]
+ReplaceFiles = Annotated[bool, typer.Option("--force", "--overwrite")]
 
 
 @dataclass(frozen=True)

@@ -125,12 +125,8 @@ def _percent(log_error: float) -> str:
 
 SHARED = Only(("push", "bend", "seconds", "camera", "fps", "tilt", "distance", "sensor"))  # shared by all pushes
 
-Rehearsed = Annotated[
-    str, typer.Argument(metavar="DESIGN", help="A named design, a design.toml, or a learned model.json.")
-]
-RehearsalFolder = Annotated[
-    Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for figure, table and JSON.")
-]
+Rehearsed = Annotated[str, typer.Argument(metavar="DESIGN")]
+RehearsalFolder = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT")]
 
 
 @dataclass(frozen=True)

@@ -120,9 +120,7 @@ def recording_rows(state: CaptureState) -> list[tuple[str, str]]:
     return rows
 
 
-RecordFolder = Annotated[
-    Path, typer.Argument(metavar="DIR", help="A folder with recording.toml (`onebend new DIR`, or --like).")
-]
+RecordFolder = Annotated[Path, typer.Argument(metavar="DIR")]
 
 
 @dataclass(frozen=True)

@@ -85,13 +85,8 @@ def show_population(console: Console, outcome: population_report.PopulationOutco
     console.print(f"Wrote {output / 'report.html'}", markup=False)
 
 
-Source = Annotated[
-    Path, typer.Argument(metavar="FOLDER|LIST.csv", help="A folder with recordings in it, or a CSV with a column path.")
-]
-Results = Annotated[
-    Path,
-    typer.Option("--output", "-o", metavar="RESULTS", help="Folder for the results; an interrupted run continues."),
-]
+Source = Annotated[Path, typer.Argument(metavar="FOLDER|LIST.csv")]
+Results = Annotated[Path, typer.Option("--output", "-o", metavar="RESULTS")]
 
 
 @dataclass(frozen=True)
@@ -119,8 +114,8 @@ def batch(
     common.answer(as_json, summary, lambda console: show_batch(console, outcome), output)
 
 
-Batch = Annotated[Path, typer.Argument(metavar="RESULTS", help="The results folder of a batch.")]
-PopulationOut = Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for tables and report.")]
+Batch = Annotated[Path, typer.Argument(metavar="RESULTS")]
+PopulationOut = Annotated[Path, typer.Option("--output", "-o", metavar="OUT")]
 
 
 def population(
