@@ -185,6 +185,23 @@ def test_beside_tags_the_edges_are_those_that_move_with_the_tags(wall: float) ->
     np.testing.assert_allclose(middle.width[shown], 2.0 * half_width(stations.s[shown]), atol=0.3e-3)
 
 
+def with_a_block(planes: Planes) -> Planes:
+    """The picture with a black block to the right of the body's first third, which hardly moves there."""
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+    xy = to_plane(VIEW, np.stack([columns, rows], axis=-1).reshape(-1, 2)).reshape(HEIGHT, WIDTH, 2)
+    inside = (xy[..., 0] < 0.35 * LENGTH) & (xy[..., 1] < -0.011)
+    return replace(planes, luma=np.where(inside, 10, planes.luma).astype(np.uint8))
+
+
+def test_a_thing_on_one_side_of_the_body_is_no_edge_of_it() -> None:
+    pictures = [with_a_block(painted(b, seed=i)) for i, b in enumerate(BENDS.tolist())]
+    middle, found = with_tags(pictures, BENDS)
+    assert abs(float(np.nanmean(errors(points(middle, found), BENDS)))) < 0.2
+    stations, hidden, _ = stations_and_hidden()
+    shown = ~hidden & (stations.s < 0.99)
+    np.testing.assert_allclose(middle.width[shown], 2.0 * half_width(stations.s[shown]), atol=0.3e-3)
+
+
 def test_beside_tags_without_a_body_nothing_is_found() -> None:
     with pytest.raises(ObservationError, match="no two edges"):
         with_tags([painted(0.0, ends=0.02, seed=i) for i in range(len(BENDS))], BENDS)
@@ -195,7 +212,8 @@ def test_the_best_line_is_the_brightest_one_that_does_not_jump() -> None:
     ridge = (20 + 8 * np.sin(np.arange(40) / 6.0)).astype(int)
     worth[np.arange(40), ridge] = 1.0
     worth[10:13, 55] = 1.5  # brighter, and elsewhere
-    np.testing.assert_array_equal(outline.best_line(worth), ridge)
+    planes = np.stack([np.zeros((40, 60)), worth], axis=1)
+    np.testing.assert_array_equal(outline.best_line(planes), np.stack([np.ones(40), ridge], axis=1))
 
 
 def test_both_flanks_tell_the_error_of_their_middle_and_how_long_it_lasts() -> None:
