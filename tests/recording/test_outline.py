@@ -262,11 +262,11 @@ def test_a_curve_off_the_body_is_refused() -> None:
         outline.refuse_lost(middle, strayed, ~hidden, "painted")
 
 
-def beside_tags(*, off: float = 0.0, drift: float = 0.0) -> Markers:
-    """A bending body with points of its outline and a tag `off` m to its left, against which the line moves by `drift`
-    m while the body bends."""
-    s, every = np.linspace(0.05, 0.95, 19), bends()
-    s = np.sort(np.append(s, 0.52))
+def beside_tags(*, off: float = 0.0, drift: float = 0.0, most: float = 0.25, gap: float = 0.0) -> Markers:
+    """A body that bends by `most` rad, with points of its outline and a tag `off` m to its left, against which the line
+    moves by `drift` m while the body bends; no points in a `gap` behind the tag."""
+    s, every = np.linspace(0.05, 0.95, 19), bends(most=most)
+    s = np.sort(np.append(s[(s < 0.52) | (s > 0.52 + gap)], 0.52))
     tag = s == 0.52
     shapes = [line(bend, s) for bend in every]
     xy, angle = np.stack([one for one, _ in shapes]), np.stack([one for _, one in shapes])
@@ -287,6 +287,10 @@ def beside_tags(*, off: float = 0.0, drift: float = 0.0) -> Markers:
 def test_an_outline_that_contradicts_a_tag_is_told(off: float, drift: float, said: str) -> None:
     assert said in (found := outline.contradicted(beside_tags(off=off, drift=drift), recording()))
     assert bool(found) == bool(said)
+
+
+def test_a_tag_at_the_edge_of_a_gap_is_not_contradicted_by_the_chord_over_it() -> None:
+    assert not outline.contradicted(beside_tags(most=1.2, gap=0.2), recording())
 
 
 def test_beside_tags_a_body_that_is_not_found_is_left_out_with_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:

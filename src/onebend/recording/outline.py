@@ -510,9 +510,8 @@ def contradicted(both: Markers, rec: entries.Recording) -> str:
         before, after = points[both.s[points] < both.s[tag]], points[both.s[points] > both.s[tag]]
         if not len(before) or not len(after):
             continue
-        away = _from_line(both, tag, before[-1], after[0], rec.beam.length)
-        chord = both.xy[:, after[0]] - both.xy[:, before[-1]]
-        turn = np.angle(np.exp(1j * (np.arctan2(chord[:, 1], chord[:, 0]) - both.angle[:, tag])))
+        away, direction = _from_line(both, tag, before[-1], after[0], rec.beam.length)
+        turn = np.angle(np.exp(1j * (direction - both.angle[:, tag])))
         seen = np.isfinite(away) & np.isfinite(turn)
         if not seen.any():
             continue
@@ -528,8 +527,10 @@ def contradicted(both: Markers, rec: entries.Recording) -> str:
     return ""
 
 
-def _from_line(both: Markers, tag: int, before: int, after: int, length: float) -> Array:
-    """(T,) m of a tag to the left of the curve through two points of the outline with their directions (Hermite)."""
+def _from_line(both: Markers, tag: int, before: int, after: int, length: float) -> tuple[Array, Array]:
+    """(T,) m of a tag to the left of the curve through two points of the outline with their directions (Hermite), and
+    (T,) rad, this curve's direction beside the tag (as of a parabola, which the noise of these directions turns
+    least)."""
     span = float(both.s[after] - both.s[before])
     u = float(both.s[tag] - both.s[before]) / span
     ends = [both.xy[:, before], both.xy[:, after]]
@@ -538,7 +539,8 @@ def _from_line(both: Markers, tag: int, before: int, after: int, length: float) 
     line = (1.0 - rise) * ends[0] + rise * ends[1] + u * (1.0 - u) * ((1.0 - u) * slopes[0] - u * slopes[1])
     chord = ends[1] - ends[0]
     left = left_of(chord) / np.linalg.norm(chord, axis=1)[:, None]
-    return np.asarray(np.sum((both.xy[:, tag] - line) * left, axis=1))
+    direction = np.arctan2(chord[:, 1], chord[:, 0]) + (u - 0.5) * (both.angle[:, after] - both.angle[:, before])
+    return np.asarray(np.sum((both.xy[:, tag] - line) * left, axis=1)), np.asarray(direction)
 
 
 def refuse_lost(middle: Middle, found: OutlineSearch, shown: BoolArray, name: str) -> None:
