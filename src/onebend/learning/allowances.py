@@ -382,7 +382,7 @@ def tag_accelerations(observations: Observations) -> Array | None:
     flat = bridged(time, observations.xy.reshape(count, -1), _WINDOW // 2 * step)
     powers = np.vander((np.arange(_WINDOW) - _WINDOW // 2) * step, _DEGREE + 1, increasing=True)
     weights = 2.0 * np.linalg.pinv(powers)[2]  # of the best polynomial, in the middle (Savitzky, Golay)
-    evenly = [np.pad(np.interp(even, time, c), _WINDOW // 2, mode="edge") for c in flat.T]
+    evenly = [np.pad(np.interp(even, time, c), _WINDOW // 2, mode="reflect", reflect_type="odd") for c in flat.T]
     back = [np.interp(time, even, np.convolve(c, weights[::-1], "valid")) for c in evenly]
     return filled(np.stack(back, axis=1).reshape(observations.xy.shape))
 
