@@ -379,7 +379,8 @@ def tag_accelerations(observations: Observations) -> Array | None:
     even = np.arange(time[0], time[-1] + 0.5 * step, step)
     if len(even) > 2 * count:
         return None
-    flat = bridged(time, observations.xy.reshape(count, -1), _WINDOW // 2 * step)
+    longest = np.where(tags_among(observations), _WINDOW // 2 * step, np.inf)  # an outline is read in few frames
+    flat = bridged(time, observations.xy.reshape(count, -1), np.repeat(longest, 2))
     powers = np.vander((np.arange(_WINDOW) - _WINDOW // 2) * step, _DEGREE + 1, increasing=True)
     weights = 2.0 * np.linalg.pinv(powers)[2]  # of the best polynomial, in the middle (Savitzky, Golay)
     evenly = [np.pad(np.interp(even, time, c), _WINDOW // 2, mode="reflect", reflect_type="odd") for c in flat.T]

@@ -132,12 +132,12 @@ def averaged(o: Observations, parts: list[list[IntArray]]) -> Observations:
 
     def at_mean_instant(values: Array) -> Array:
         means = mean(values)
-        bent = np.nan_to_num(second_differences(time, means.reshape(len(means), -1), part).reshape(means.shape))
+        bent = second_differences(time, means.reshape(len(means), -1), part).reshape(means.shape)
         return np.asarray(means - 0.5 * bent * variance.reshape(-1, *[1] * (means.ndim - 1)))
 
-    filled = bridged(o.time, poses.reshape(len(poses), -1), GAP).reshape(poses.shape)
-    seen = np.logical_or.reduceat(np.isfinite(poses), starts, axis=0)
-    pose = np.where(seen, at_mean_instant(filled), np.nan)
+    filled = bridged(o.time, poses.reshape(len(poses), -1)).reshape(poses.shape)
+    seen = mean(np.isfinite(poses).astype(float))
+    pose = np.where(seen > 0.0, at_mean_instant(filled), np.nan)
     known = np.all(np.isfinite(o.covariance), axis=(-1, -2))
     frames = total(known.astype(float))[..., None, None]  # in which each tag was seen
     of_all = total(np.where(known[..., None, None], o.covariance, 0.0))

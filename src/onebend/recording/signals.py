@@ -37,17 +37,17 @@ def step(time: Array) -> float:
     return float(np.median(np.diff(time)))
 
 
-def bridged(time: Array, values: Array, longest_gap: float = np.inf) -> Array:
-    """`values` (T, c) with NaN replaced by linear interpolation in time, but in a gap longer than `longest_gap` [s]; a
-    column without two numbers becomes zero."""
+def bridged(time: Array, values: Array, longest_gap: Array | float = np.inf) -> Array:
+    """`values` (T, c) with NaN replaced by linear interpolation in time, but in gaps longer than `longest_gap` () or
+    (c,) [s]; a column without two numbers becomes zero."""
     filled = np.array(values, dtype=float)
-    for column in filled.T:
+    for column, longest in zip(filled.T, np.broadcast_to(longest_gap, filled.shape[1]), strict=True):
         good = np.isfinite(column)
         if not good.all():
             ends = np.concatenate([[-np.inf], time[good], [np.inf]])
             after = np.searchsorted(ends, time[~good])
             between = np.interp(time[~good], time[good], column[good]) if good.sum() > 1 else 0.0
-            column[~good] = np.where(ends[after] - ends[after - 1] > longest_gap, np.nan, between)
+            column[~good] = np.where(ends[after] - ends[after - 1] > longest, np.nan, between)
     return filled
 
 

@@ -12,7 +12,6 @@ from scipy.interpolate import CubicSpline
 from onebend.learning import condensed as condensing, posterior
 from onebend.learning.condensed import (
     EACH_PUSH,
-    GAP,
     averaged,
     condensed,
     mean_variance,
@@ -69,7 +68,6 @@ def test_the_covariance_of_a_mean_is_that_of_simulated_noise() -> None:
 def test_the_mean_of_a_tag_that_was_seen_less_often_is_less_exact() -> None:
     assert np.allclose(mean_variance(np.array([1.0, 0.5, 0.0]), np.array([4.0, 4.0, 4.0])), [0.25, 0.625, 1.0])
     seen = pushed()
-    seen = replace(seen, time=0.4 * GAP / np.mean(np.diff(seen.time)) * seen.time)  # every gap is bridged
     hidden = replace(seen, xy=seen.xy.copy(), covariance=seen.covariance.copy())
     hidden.xy[1::2, 0] = np.nan
     hidden.covariance[1::2, 0] = np.nan
@@ -93,6 +91,19 @@ def test_no_mean_is_of_more_frames_than_show_a_tag() -> None:
     force = CubicSpline(seen.time, seen.force)(found.time)
     np.testing.assert_allclose(found.force, force, atol=1e-3 * np.max(force))
     np.testing.assert_allclose(found.xy[shown, -1], true[shown], atol=1e-3 * np.ptp(true))
+
+
+def test_an_outline_that_is_read_in_few_frames_counts_in_every_window() -> None:
+    seen = pushed()
+    rare = replace(seen, xy=seen.xy.copy(), covariance=seen.covariance.copy(), traced=np.arange(3) == 2)
+    for values in (rare.xy, rare.covariance):
+        values[np.arange(400) % 3 > 0, 2] = np.nan
+    found = condensed(rare)
+    assert len(found.time) <= EACH_PUSH
+    assert np.mean(np.isfinite(found.xy[:, 2, 0])) > 0.9
+    assert found.means is not None
+    assert found.means.acceleration is not None
+    assert np.all(np.any(found.means.acceleration[5:-5, 2] != 0.0, axis=1))
 
 
 def test_third_differences_tell_the_white_share() -> None:
