@@ -22,7 +22,7 @@ from benchmarks.shown import ROOT, put_block
 from onebend.cli import OPTIONS, Command, all_commands, as_data
 from onebend.recording.entries import CameraInfoEntry, MassEntry, TagEntry
 from onebend.recording.folder import RECORDS
-from onebend.recording.schema import Key
+from onebend.recording.schema import Key, keys_of
 
 COMMON = 3  # commands that have an option with the same words, from which on it is explained once
 TABLES: dict[str, type] = {
@@ -134,8 +134,8 @@ def key_table(name: str) -> str:
 
 def _keys(record: type) -> list[tuple[Key, Any]]:
     """The keys of a record with their defaults; `Ellipsis` for those that must be given."""
-    found = [(one.metadata["key"], one) for one in fields(record) if "key" in one.metadata]
-    return [(key, ... if one.default is MISSING else one.default) for key, one in found]
+    defaults = {one.name: ... if one.default is MISSING else one.default for one in fields(record)}
+    return [(key, defaults[name]) for name, (key, _) in keys_of(record).items()]
 
 
 def value_of(key: Key, default: Any) -> str:

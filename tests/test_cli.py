@@ -85,7 +85,7 @@ def test_version_and_help() -> None:
 
 def test_new_takes_one_kind_and_what_a_bag_tells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bag = tmp_path / "a bag.mcap"
-    found = BagContents(bag, (), force="/wrench", image='/camera/"raw"', fault="")
+    found = BagContents(bag, (), force="/wrench", image='/camera/"raw"')
     monkeypatch.setattr(recording_commands, "bag_contents", lambda *_: found)
     assert run("new", tmp_path / "mine", "--ros", bag).exit_code == 0
     text = (tmp_path / "mine" / "recording.toml").read_text(encoding="utf-8")

@@ -14,7 +14,6 @@ from typer.testing import CliRunner
 
 from onebend.cli import OPTIONS, Command, all_commands, app, as_data, function_of
 from onebend.results.model import save_model
-from onebend.wings import wings
 from tests import made_up
 
 COMMANDS = all_commands()
@@ -58,7 +57,6 @@ def test_version_and_help_load_no_command(asked: str) -> None:
         "onebend.cli",
         "onebend.crash",
         "onebend.errors",
-        *(f"onebend.{wing}" for wing in wings()),  # their tables of commands
     }
     assert not modules & {"numpy", "scipy", *HEAVY}
 

@@ -8,6 +8,7 @@ field SI units.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import wraps
@@ -15,6 +16,7 @@ from inspect import Parameter, signature
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 POSITIVE, NOT_NEGATIVE = (1e-6, 1e9), (0.0, 1e9)  # ranges; numbers beyond them are no measures of a beam
+UNIT = re.compile(r"-(?:(deg|kPa|Hz|mm|ms|Nm|N|m|s|percent)(?:-per-(m|s))?|per-(m|s))$")  # at the end of a name
 SCALES = {"deg": math.pi / 180.0, "mm": 1e-3, "ms": 1e-3, "kPa": 1e3, "percent": 1e-2}  # in SI, by the name's end
 
 
@@ -65,11 +67,20 @@ def option(
 
     Args:
         default: of the field, in SI units. The option has none where it is NaN, infinite or None.
+        metavar: default: the unit at the end of the name.
         within: the least and the largest value that may be given, in the option's unit.
         scale: the option's unit in SI; None: by the end of its name.
     """
     size = SCALES.get(name.rsplit("-", 1)[-1], 1.0) if scale is None else scale
-    return field(default=default, metadata={"option": Option(name, help, metavar, within, size)})
+    return field(default=default, metadata={"option": Option(name, help, metavar or _unit(name), within, size)})
+
+
+def _unit(name: str) -> str | None:
+    """MM/S of `--max-speed-mm-per-s`; None of a name without a unit."""
+    if (found := UNIT.search(name)) is None:
+        return None
+    unit, per = found[1] or "1", found[2] or found[3]
+    return (f"{unit}/{per}" if per else unit).upper()
 
 
 def expanded(command: Callable[..., None]) -> Callable[..., None]:

@@ -71,7 +71,7 @@ class Remark:
     level: Literal["note", "warning"]
     text: str
     doubt: bool = False  # what is learned from the recording is then not to be relied on
-    about: str = ""  # of a warning: a key of `errors.SECTIONS`
+    about: str = ""  # of a warning: a key of `sections.toml`
     share: float = 0.0  # of the force that may be wrong for it, and so of k(s)
 
     @property

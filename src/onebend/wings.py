@@ -1,7 +1,8 @@
-"""The wings of the package, and where a command stands: to list all commands loads none of them."""
+"""The wings of the package, and its commands, which `commands.toml` lists in each folder that has some."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -12,11 +13,6 @@ WINGS = ("live", "many", "lab", "drive", "studio")  # folders that may be left o
 
 Group = Literal["Measure", "Learn", "Use", "Many", "Lab"]  # of commands, as `--help` lists them
 GROUPS: tuple[Group, ...] = get_args(Group)
-
-
-def wings() -> list[str]:
-    """The wings that are here."""
-    return [name for name in WINGS if (Path(__file__).parent / name / "__init__.py").is_file()]
 
 
 @dataclass(frozen=True)
@@ -34,3 +30,10 @@ class Place:
         module, name = self.function.split(":")
         found: Callable[..., None] = getattr(import_module(module), name)
         return found
+
+
+def commands_of(folder: str) -> dict[str, Place]:
+    """The commands of one folder of the package, by name; none where the folder is left out."""
+    file = Path(__file__).parent / folder / "commands.toml"
+    listed = tomllib.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    return {name: Place(**entry) for name, entry in listed.items()}

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from onebend.cli import COMMANDS, Command
+from onebend.cli import Command
 from onebend.results.model import save_model
+from onebend.wings import commands_of
 from tests.attack.family import Case, params, withstood
 from tests.attack.victim import Victim
 from tests.made_up import BEAM
@@ -81,7 +82,7 @@ def test_every_length_of_time_force_and_size_has_its_largest_value() -> None:
     """Options in numbers with a least value; those without one (angles, goals, times in a film) are checked in use."""
     open_ended = [
         f"{name} {option.opts[0]}"
-        for name, place in COMMANDS.items()
+        for name, place in commands_of("cli").items()
         for option in Command(name, place).loaded().params
         if getattr(option, "min", None) is not None
         and option.max is None

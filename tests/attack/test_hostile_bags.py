@@ -1,4 +1,4 @@
-"""Robot logs of any content: bounded before they are unpacked, never run, one message each."""
+"""Robot logs of any content: never run, one message each."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.attack.victim import Victim
 
 QUICK = {
     "a type that holds itself", "an array of texts", "a list of nothing", "a type's name that is code",
-    "a constant that is code", "6 GB in a chunk that says it", "a view without end", "columns that are computed",
+    "a constant that is code", "a view without end", "columns that are computed",
 }  # fmt: skip
 
 

@@ -14,10 +14,11 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from onebend.drive.robots import Robot, ToolForce, ToolPose
-from onebend.drive.ros2 import MESSAGES, RosNetwork, RosRobot, RosTopics, luma_image, message, message_class, unpacked
+from onebend.drive.ros2 import MESSAGES, RosNetwork, RosRobot, RosTopics, message, message_class
 from onebend.drive.specs import camera_of, force_of, robot_of
 from onebend.errors import RecordingError
 from onebend.live.sources import End, Frame, HostClock, Samples
+from onebend.recording.bag_topics import picture_of
 from tests.drive.other_end import Ask, other_end, wait_for
 
 pytest.importorskip("cyclonedds")
@@ -73,14 +74,15 @@ def test_pictures_become_luma() -> None:
     rows = np.zeros((3, 18), np.uint8)  # lines are longer than the picture is wide
     rows[:, :15] = colours.reshape(3, 15)
     sent = message("sensor_msgs/msg/Image", height=3, width=5, encoding="bgr8", step=18, data=rows.tobytes())
-    got = luma_image(sent)
-    assert got is not None
+    got = picture_of(sent, "here")
     assert np.abs(got - (0.114 * colours[..., 0] + 0.587 * colours[..., 1] + 0.299 * colours[..., 2])).max() <= 0.5001
     sent.encoding = "32FC1"
-    assert luma_image(sent) is None
+    with pytest.raises(RecordingError, match="'32FC1' cannot be read"):
+        picture_of(sent, "here")
     grey, file = np.tile(np.arange(64, dtype=np.uint8), (64, 1)), io.BytesIO()
     Photo.fromarray(grey).save(file, "PNG")
-    assert np.array_equal(unpacked(message("sensor_msgs/msg/CompressedImage", data=file.getvalue())), grey)
+    packed = message("sensor_msgs/msg/CompressedImage", data=file.getvalue())
+    assert np.array_equal(picture_of(packed, "here"), grey)
 
 
 @pytest.fixture

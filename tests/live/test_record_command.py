@@ -84,7 +84,7 @@ def test_json_is_one_object(original: Path, tmp_path: Path) -> None:
     [
         ((), "--camera is missing"),
         (("--camera", "/dev/video99"), "names a [force], and no sensor is given"),
-        (("--camera", "/dev/video99", "--force", "log:PLAYED"), "there is no such camera. Plug it in"),
+        (("--camera", "/dev/video99", "--force", "log:PLAYED"), "There is no such camera. Plug it in"),
         (("--camera", "disk:0"), "there is no such source"),
         (("--camera", "film:PLAYED", "--force", "log:PLAYED", "--until", "much"), "--until much: write how exactly"),
         (("--camera", "film:"), "nothing stands behind the colon"),
@@ -115,7 +115,7 @@ def test_a_start_that_failed_is_begun_again_with_the_same_words(original: Path, 
     for _ in range(2):
         failed = run(*words, "/dev/video99")
         assert failed.exit_code == 2
-        assert "there is no such camera" in failed.stderr
+        assert "There is no such camera" in failed.stderr
     done = run(*words, f"film:{original}", "--fast", "--no-learning", "--now", "--longest-s", "1")
     assert done.exit_code == 0, done.stderr
 

@@ -253,17 +253,20 @@ def told() -> tuple[RecorderProcess, list[tuple[dict[str, Any], bool]]]:
 
 def test_the_newest_pictures_are_kept_and_slow_tabs_miss_states_alone() -> None:
     filming, messages = told()
-    filmed = filming.made = MadeRecording({"out": "new", "command": ""})
+    filmed = filming.job = MadeRecording({"out": "new", "command": ""})
     with pytest.raises(StudioError, match="no picture"):
         filming.picture(1)
     for i in range(20):
-        filming._hear(filmed, {"state": {"stage": 0, "frames": 0}, "picture": base64.b64encode(b"%d" % i).decode()})
+        filmed.hear({"state": {"stage": 0, "frames": 0}, "picture": base64.b64encode(b"%d" % i).decode()})
+        filming.changed()
     assert filming.picture(20) == filming.picture(3) == b"19"
     assert filming.picture(15) == b"14"
-    assert (filmed.phase, filmed.picture) == ("recording", 20)
-    filming._hear(filmed, {"outcome": {"begun": True, "fault": False}})
+    assert (filmed.phase, filmed.shown()["picture"]) == ("recording", 20)
+    filmed.hear({"outcome": {"begun": True, "fault": False}})
+    filming.changed()
     assert filmed.phase == "checking"
-    filming._hear(filmed, {"check": {"rows": [], "remarks": [], "faults": []}})
+    filmed.hear({"check": {"rows": [], "remarks": [], "faults": []}})
+    filming.changed()
     assert [passing for _, passing in messages] == [True] * 20 + [False] * 2
     assert messages[-1][0]["recording"]["check"] is not None
 

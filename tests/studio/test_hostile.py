@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
-from onebend.studio.filming import RecorderProcess
 from onebend.studio.jobs import Jobs
 from tests.studio.conftest import own
 
@@ -51,7 +50,6 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         wanted.append(json.loads(json.dumps(asked, allow_nan=False)))
 
     monkeypatch.setattr(Jobs, "start", begin)
-    monkeypatch.setattr(RecorderProcess, "start", begin)
     return wanted
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import onebend
-from onebend.errors import SECTIONS
+from onebend.errors import sections
 from onebend.learning.outcome import Notice
 from onebend.records import MassAlong, Remark
 from onebend.report.sentences import SENTENCES, odds, remedy, say, worded, words
@@ -46,7 +46,7 @@ def test_every_code_has_a_sentence() -> None:
     assert codes_in_the_package() - SENTENCES.keys() == set()
     assert {f"tag missed{end}" for end in ENDS} | MASSES < SENTENCES.keys()
     assert {one.name for one in suspects() if one.kind != "trend"} - SENTENCES.keys() == {"length"}
-    assert {one.about for one in SENTENCES.values()} - {""} < SECTIONS.keys()
+    assert {one.about for one in SENTENCES.values()} - {""} < sections().keys()
 
 
 def test_every_sentence_is_said_somewhere() -> None:

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from onebend.cli import app
 from onebend.cli.common import clean_errors, remarks_list
-from onebend.errors import SECTIONS, ObservationError, reference, section, told
+from onebend.errors import ObservationError, reference, section, sections, told
 from onebend.learning.criticism import Criticism, Finding, Score, Suspect
 from onebend.learning.verdict import criticism_notices, fit_notices
 from onebend.records import Remark
@@ -71,7 +71,7 @@ def named() -> set[str]:
 
 
 def test_every_warning_says_what_it_is_about() -> None:
-    """A new warning: `about="..."` with a key of `onebend.errors.SECTIONS`, and its section on the page."""
+    """A new warning: `about="..."` with a key of `sections.toml`, and its section on the page."""
     copied = "results/detection_cache.py"  # which reads warnings back as they were
     silent = [
         where for where, call in calls() if warns(call) and about_of(call) is None and not where.startswith(copied)
@@ -80,13 +80,13 @@ def test_every_warning_says_what_it_is_about() -> None:
 
 
 def test_what_warnings_are_about_is_what_has_a_section() -> None:
-    assert named() == set(SECTIONS)
+    assert named() == set(sections())
 
 
 def test_every_section_is_named_by_a_warning_and_every_warning_has_its_section() -> None:
     there = anchors(TEXT)
     assert len(set(there)) == len(there)
-    assert set(there) == set(SECTIONS.values())
+    assert set(there) == set(sections().values())
     form = re.compile(r"[^\n]+\n\n\*\*Cause\.\*\* .+\n\n\*\*Remedy\.\*\* .+", re.DOTALL)
     assert [one for one in re.split(r"(?m)^### ", TEXT)[1:] if form.match(one) is None] == []
     for inside in re.findall(r"\]\(#([^)]+)\)", TEXT):
@@ -111,7 +111,7 @@ def test_a_warning_of_the_models_tests_is_about_its_likeliest_cause(suspect: Sus
     one = replace(made_up.posterior(), criticism=Criticism((finding,)))
     [warning] = [one for one in worded(criticism_notices(one)) if one.level == "warning"]
     assert warning.about == ("unexplained" if suspect.kind == "trend" else suspect.name)
-    assert warning.docs == f"troubleshooting.md#{SECTIONS[warning.about]}"
+    assert warning.docs == f"troubleshooting.md#{sections()[warning.about]}"
 
 
 WARNING = Remark("warning", "the film hung for 2 s", about="film hung")

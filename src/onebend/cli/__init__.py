@@ -1,7 +1,7 @@
 """The command line. Results go to standard output, progress and errors to standard error.
 
-Exit codes: 0 done; 2 unusable input or request, or a fault of onebend; 130 interrupted. Commands are listed here as
-text, and their options in `options.json` (from `make docs`), so that `--version` and every `--help` load none.
+Exit codes: 0 done; 2 unusable input or request, or a fault of onebend; 130 interrupted. Commands are listed in
+`commands.toml` files, their options in `options.json` (from `make docs`): `--version` and every `--help` load none.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterable, Mapping
 from contextvars import ContextVar
 from difflib import get_close_matches
 from functools import wraps
-from importlib import import_module
 from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, Union, get_args, get_origin
@@ -28,95 +27,13 @@ from typer.models import OptionInfo
 import onebend
 from onebend.crash import guarded
 from onebend.progress import one_blas_thread
-from onebend.wings import GROUPS, Place, wings
+from onebend.wings import GROUPS, WINGS, Place, commands_of
 
 NAME = "onebend"
 MOST_NEW = 100_000  # objects between garbage collections, which otherwise take a 20th of the time
 HELP = ("-h", "--help")
 OPTIONS = Path(__file__).parent / "options.json"
 UsageError: Any = typer.BadParameter.__mro__[1]  # of every wrong option; it has no public name
-
-
-COMMANDS = {
-    "learn": Place(
-        "onebend.cli.learning:learn",
-        "Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results).",
-        "examples/linear-beam/train -o out/linear-beam --force",
-        group="Learn",
-    ),
-    "validate": Place(
-        "onebend.cli.learning:validate",
-        "Simulate the learned beam under the forces of other recordings and compare the markers (Tables IV to VI).",
-        "out/linear-beam examples/linear-beam/fast",
-        group="Learn",
-    ),
-    "plan": Place(
-        "onebend.cli.learning:plan",
-        "Rank the next pushes by how much each would narrow the band of k(s).",
-        "out/linear-beam --count 3",
-        group="Learn",
-    ),
-    "damp": Place(
-        "onebend.cli.learning:damp",
-        "Estimate a learned beam's damping from a free swing, and check k over mass.",
-        "out/linear-beam out/released",
-        "onebend film linear --push free --sensor wrist -o out/released",
-        group="Learn",
-    ),
-    "sense": Place(
-        "onebend.cli.learning:sense",
-        "Estimate the force on a learned beam from its shape, frame by frame, with a 95 % region.",
-        "out/linear-beam examples/linear-beam/fast",
-    ),
-    "reach": Place(
-        "onebend.cli.control:reach",
-        "Find the force that puts a point of a learned beam on a goal (Algorithm 1, Fig. 8).",
-        "out/linear-beam --goal 0.1338 0.0638",
-    ),
-    "shape": Place(
-        "onebend.cli.control:shape",
-        "Find the forces, or the gripper's pose, that bring a learned beam closest to a wanted shape.",
-        "out/linear-beam --targets examples/bend/targets.csv --grip",
-    ),
-    "path": Place(
-        "onebend.cli.control:path",
-        "Compute the forces or gripper poses that follow goals in time, as CSV and ROS 2 messages.",
-        "out/linear-beam --goals examples/bend/goals.csv -o out/path",
-    ),
-    "new": Place("onebend.cli.recordings:new", "Write a recording.toml to fill in.", "my-beam", group="Measure"),
-    "topics": Place(
-        "onebend.cli.recordings:topics",
-        "List the topics of a ROS bag, and say which to write in recording.toml.",
-        "my-beam/push.mcap",
-        group="Measure",
-    ),
-    "check": Place(
-        "onebend.cli.recordings:check",
-        "Check a recording in seconds: read its files, search some frames for tags, draw the result.",
-        "examples/linear-beam/train",
-        group="Measure",
-    ),
-    "calibrate": Place(
-        "onebend.cli.recordings:calibrate",
-        "Calibrate the camera from a film of a board, and write its table for recording.toml.",
-        "board.mp4 --board chessboard 9x6 --square-mm 20",
-        group="Measure",
-    ),
-    "frequencies": Place(
-        "onebend.cli.learning:frequencies",
-        "Find the natural frequencies in a free swing, for recording.toml.",
-        "examples/ruler/swing.csv",
-        group="Measure",
-    ),
-    "show": Place(
-        "onebend.cli.models:show", "Draw the learned k(s) in the terminal.", "out/linear-beam", group="Learn"
-    ),
-    "export": Place(
-        "onebend.cli.exporting:export_command",
-        "Write the learned beam for a simulator, as a robot description, a table, or a Python file without onebend.",
-        "out/linear-beam --to mujoco -o out/beam.xml",
-    ),
-}
 
 
 GIVEN: ContextVar[Mapping[str, Any]] = ContextVar("GIVEN")  # options of the running command
@@ -135,8 +52,7 @@ def remembered(command: Callable[..., None]) -> Callable[..., None]:
 
 def all_commands() -> dict[str, Place]:
     """Of the core and the installed wings, by group."""
-    brought = [import_module(f"onebend.{wing}").COMMANDS for wing in wings()]
-    items = [item for table in (COMMANDS, *brought) for item in table.items()]
+    items = [item for folder in ("cli", *WINGS) for item in commands_of(folder).items()]
     return dict(sorted(items, key=lambda item: GROUPS.index(item[1].group)))
 
 

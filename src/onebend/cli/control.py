@@ -225,7 +225,7 @@ class Hands:
         within=(common.LEAST, 1.0),
     )
     max_force: float = option(
-        "--max-force-N", math.inf, "Of every push and of the gripper; default: no bound.", metavar="N", within=POSITIVE
+        "--max-force-N", math.inf, "Of every push and of the gripper; default: no bound.", within=POSITIVE
     )
     max_moment: float = option(
         "--max-moment-N-m", math.inf, "Of the gripper; default: no bound.", metavar="N_M", within=POSITIVE

@@ -50,8 +50,6 @@ def show_bag(console: Console, bag: BagContents) -> None:
     bare = [row.topic for row in bag.rows if row.count and row.by == "receipt"]
     if bare:
         console.print(f"Without header stamps, by when they were received: {escape(', '.join(bare))}.")
-    if bag.fault:
-        console.print(f"[red]The bag is damaged:[/] {escape(bag.fault)}. The table counts what comes before that.")
 
 
 def begins(first: float) -> str:
@@ -238,7 +236,7 @@ def topics(bag: BagPath, *, as_json: common.Json = False) -> None:
 
 def as_data(found: BagContents) -> dict[str, object]:
     rows = [dataclasses.asdict(row) for row in found.rows]
-    others = {name: getattr(found, name) or None for name in ("force", "image", "fault")}
+    others = {name: getattr(found, name) or None for name in ("force", "image")}
     return {"bag": str(found.path), "topics": rows, **others}
 
 

@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import Band, UncertainStiffness, half_width_words
+from onebend.beam.stiffness import Band, UncertainStiffness
 from onebend.cli.common import facts_table, force_words, listing, remarks_list, say_written
 from onebend.learning.outcome import Comparison
 from onebend.learning.run import Run
@@ -82,18 +82,12 @@ def band_table(
     k, low, high = ([sentences.significant(float(value)) for value in one] for one in (band.k, band.low, band.high))
     rows: list[tuple[str, Sequence[str]]] = [("k [N m]", k)]
     if isinstance(known, UncertainStiffness):
-        rows += [("±", half_widths(band)), ("from", low), ("to", high)]
+        rows += [("±", confidence.half_widths(band)), ("from", low), ("to", high)]
     if modulus is not None:
         rows += [(f"E [{modulus.unit}]", modulus.values), ("from", modulus.low), ("to", modulus.high)]
     for name, cells in rows:
         add(name, [cell if there else f"({cell})" for cell, there in zip(cells, band.identified, strict=True)])
     return table
-
-
-def half_widths(band: Band) -> list[str]:
-    """ "7.4 %", "x 2.4"."""
-    halves = 0.5 * np.log(band.high / band.low)
-    return [half_width_words(float(half)).removeprefix("± ").replace("a factor of ", "x ") for half in halves]
 
 
 MOST = 4.0  # times k: a wider band may leave the plot

@@ -443,15 +443,11 @@ class ReachSettings:
     method: Literal["newton", "paper"] = option(
         "--method", "newton", "newton: exact. paper: Algorithm 1 as printed; its force is applied to the exact beam."
     )
-    max_force: float | None = option(  # infinity means none
-        "--max-force-N", None, "Largest force; default: no bound.", metavar="N", within=POSITIVE
-    )
+    max_force: float | None = option(
+        "--max-force-N", None, "Largest force; default: no bound.", within=POSITIVE
+    )  # infinity means none
     max_curvature: float | None = option(
-        "--max-curvature-per-m",
-        None,
-        "Largest curvature, beyond that at rest.",
-        metavar="1/M",
-        within=POSITIVE,
+        "--max-curvature-per-m", None, "Largest curvature, beyond that at rest.", within=POSITIVE
     )
     moment: bool = option("--moment", False, "The gripper also applies a moment.")
     gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2

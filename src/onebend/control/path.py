@@ -220,15 +220,10 @@ _SLACK = 1.002  # margin for resampling
 class RateLimits:
     """Largest rates; infinite: none."""
 
-    force: float = option("--max-force-rate-N-per-s", np.inf, "Limit for every push.", metavar="N/S", within=POSITIVE)
-    speed: float = option("--max-speed-m-per-s", np.inf, "Limit for the gripper.", metavar="M/S", within=POSITIVE)
+    force: float = option("--max-force-rate-N-per-s", np.inf, "Limit for every push.", within=POSITIVE)
+    speed: float = option("--max-speed-m-per-s", np.inf, "Limit for the gripper.", within=POSITIVE)
     turning: float = option(
-        "--max-turn-rate-deg-per-s",
-        np.inf,
-        "Limit for the gripper.",
-        metavar="DEG/S",
-        within=POSITIVE,
-        scale=np.pi / 180.0,
+        "--max-turn-rate-deg-per-s", np.inf, "Limit for the gripper.", within=POSITIVE, scale=np.pi / 180.0
     )
 
     def __post_init__(self) -> None:
@@ -266,7 +261,7 @@ _MOMENTS_PER_SAMPLE = 4  # for rates
 
 @dataclass(frozen=True)
 class PathSettings:
-    rate: float = option("--rate-Hz", 1000.0, "Samples of the path.", metavar="HZ", within=(1e-6, 1e6))
+    rate: float = option("--rate-Hz", 1000.0, "Samples of the path.", within=(1e-6, 1e6))
     limits: RateLimits = field(default_factory=RateLimits)
     shape: ShapeSettings = field(default_factory=ShapeSettings)
 

@@ -7,7 +7,6 @@ Service name mapping to DDS" and "ROS 2 interface definition").
 
 from __future__ import annotations
 
-import io
 import math
 import sys
 import time
@@ -18,7 +17,6 @@ from functools import cache
 from typing import Any, Literal
 
 import numpy as np
-from PIL import Image as Photo
 from scipy.spatial.transform import Rotation
 
 from onebend.drive.robots import DEAD_MAN, ArmState, Skill, ToolForce, ToolPose
@@ -26,7 +24,7 @@ from onebend.errors import RecordingError
 from onebend.extras import package
 from onebend.live.force_sensors import WRENCH
 from onebend.live.sources import Clock, Device, End, Frame, Samples, StampTiming
-from onebend.recording.video import Picture
+from onebend.recording.bag_topics import picture_of
 from onebend.records import Array
 
 # Messages as their definitions have them: a name and the kind of each field.
@@ -52,8 +50,6 @@ POSE, FORCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped"
 IMAGE, PACKED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 Trust = Literal["reliable", "best_effort"]
 SILENT = 5.0  # s without a picture or a wrench
-GREYS = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4}  # encodings, and bytes of a pixel
-LUMA = np.array([0.299, 0.587, 0.114])
 
 
 @cache
@@ -321,9 +317,10 @@ class RosCamera(_RosTopic):
         came = self._next(wait)
         if came is None or isinstance(came, End):
             return came
-        picture = unpacked(came) if self._kind == PACKED else luma_image(came)
-        if picture is None:
-            return self._fault(f"sends pictures as {came.encoding}")
+        try:
+            picture = picture_of(came, self.name)
+        except RecordingError as wrong:
+            return End(str(wrong), fault=True)
         return Frame(picture, seconds(came.header), self._heard)
 
 
@@ -340,22 +337,3 @@ class RosForce(_RosTopic):
         if came is None or isinstance(came, End):
             return came
         return Samples(np.array([seconds(came.header)]), wrench_of(came)[None], self._heard)
-
-
-def luma_image(came: Any) -> Picture | None:
-    """(H, W) of a sensor_msgs/Image; None of an encoding that is not known."""
-    depth = GREYS.get(came.encoding)
-    if depth is None:
-        return None
-    rows = np.frombuffer(bytes(came.data), np.uint8).reshape(came.height, came.step)
-    pixels = rows[:, : came.width * depth].reshape(came.height, came.width, depth)
-    if depth == 1:
-        return np.ascontiguousarray(pixels[..., 0])
-    weights = LUMA if came.encoding.startswith("rgb") else LUMA[::-1]
-    return np.asarray(pixels[..., :3] @ weights + 0.5).astype(np.uint8)
-
-
-def unpacked(came: Any) -> Picture:
-    """(H, W) of a CompressedImage."""
-    with Photo.open(io.BytesIO(bytes(came.data))) as photo:
-        return np.asarray(photo.convert("L"))

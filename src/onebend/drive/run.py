@@ -67,6 +67,7 @@ class _Watched:
     def open(self, clock: Clock) -> None:
         self._clock = clock
         self._camera.open(clock)
+        self.timing = self._camera.timing
 
     def close(self) -> None:
         self._camera.close()

@@ -164,9 +164,7 @@ class TagOptions:
     """The tags of a sheet, and how it looks."""
 
     ids: str | None = option("--ids", None, "Such as 0-4 or 0,3,7-9.", metavar="IDS")
-    size: float | None = option(
-        "--size-mm", None, "Side of the black square; default: 12.", metavar="MM", within=(0.5, common.MOST)
-    )
+    size: float | None = option("--size-mm", None, "Side of the black square; default: 12.", within=(0.5, common.MOST))
     family: str | None = option("--family", None, "Default: tag36h11.", metavar="FAMILY")
     rim: float = option("--rim-cells", 1.0, "White around the black square.", metavar="N", within=(1.0, common.MOST))
     page: Literal["a4", "letter"] = option("--page", "a4", "Size of the paper.")

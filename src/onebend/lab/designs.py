@@ -181,44 +181,28 @@ TABLES = ("beam", "width", "material")
 class SizeEntry:
     """[beam]: outer sizes."""
 
-    length: float = key("length_m = 0.15", number(above=0), "the beam's length from clamp to tip, m")
-    depth: float = key("depth_m = 0.03", number(above=0), "its size across the plane of bending, m")
+    length: float = key("length_m", number(above=0))
+    depth: float = key("depth_m", number(above=0))
 
 
 @dataclass(frozen=True)
 class WidthEntry:
     """[width]: the size in the plane of bending, a polynomial or a table."""
 
-    polynomial: tuple[float, ...] = key(
-        "polynomial_m = [0.010, 0.010]", several(number(), least=1), "the width's coefficients of s^0, s^1, ..., m", ()
-    )
-    s: tuple[float, ...] = key(
-        "s = [0.0, 0.5, 1.0]", several(number(least=0, most=1), least=2), "places from 0 (clamp) to 1 (tip)", ()
-    )
-    width: tuple[float, ...] = key(
-        "width_m = [0.02, 0.01, 0.02]", several(number(above=0), least=2), "the width at each place of s, m", ()
-    )
-    between: Literal["smooth", "straight"] = key(
-        'between = "smooth"',
-        one_of("smooth", "straight"),
-        'between the places: "smooth" (monotone cubic) or "straight" lines',
-        "smooth",
-    )
+    polynomial: tuple[float, ...] = key("polynomial_m", several(number(), least=1), ())
+    s: tuple[float, ...] = key("s", several(number(least=0, most=1), least=2), ())
+    width: tuple[float, ...] = key("width_m", several(number(above=0), least=2), ())
+    between: Literal["smooth", "straight"] = key("between", one_of("smooth", "straight"), "smooth")
 
 
 @dataclass(frozen=True)
 class MaterialEntry:
     """[material]: a hardness, or a modulus."""
 
-    shore_a: float = key("shore_a = 30", number(), "a silicone's hardness on scale A", math.nan)
-    modulus: float = key("modulus_Pa = 7.0e5", number(above=0), "Young's modulus at small strain, Pa", math.nan)
-    modulus_log_sd: float = key(
-        "modulus_log_sd = 0.1",
-        number(least=0),
-        "how sure the modulus is: one sd of its logarithm (0.1 = 10 %)",
-        math.nan,
-    )
-    density: float = key("density_kg_m3 = 1080", number(above=0), "its density, kg/m^3", math.nan)
+    shore_a: float = key("shore_a", number(), math.nan)
+    modulus: float = key("modulus_Pa", number(above=0), math.nan)
+    modulus_log_sd: float = key("modulus_log_sd", number(least=0), math.nan)
+    density: float = key("density_kg_m3", number(above=0), math.nan)
 
 
 def read_design(path: Path | str) -> Design:

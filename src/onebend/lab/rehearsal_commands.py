@@ -51,8 +51,8 @@ class SimulatedLoop:
         metavar="N",
         within=(1, loop_simulation.MOST_DRAWN),
     )
-    max_force: float = option("--max-force-N", math.inf, "Largest force.", metavar="N", within=POSITIVE)
-    duration: float = option("--duration-s", 8.0, "Duration of each simulation.", metavar="S", within=(2.0, 600.0))
+    max_force: float = option("--max-force-N", math.inf, "Largest force.", within=POSITIVE)
+    duration: float = option("--duration-s", 8.0, "Duration of each simulation.", within=(2.0, 600.0))
 
 
 def loop(
@@ -153,14 +153,9 @@ class RehearseOptions:
     at: tuple[float, ...] = option(
         "--push-at", (), "Place of the push; once per push.", metavar="S", within=(0.05, 1.0)
     )
-    force: tuple[float, ...] = option(
-        "--force-N", (), "Largest force; default: from --bend-deg. One, or one per push.", metavar="N"
-    )
+    force: tuple[float, ...] = option("--force-N", (), "Largest force; default: from --bend-deg. One, or one per push.")
     direction: tuple[float, ...] = option(
-        "--direction-deg",
-        (),
-        "Against the beam's x axis; default: 100. One, or one per push.",
-        metavar="DEG",
+        "--direction-deg", (), "Against the beam's x axis; default: 100. One, or one per push."
     )
     count: int = option("--count", 8, "Number of changes to list.", metavar="N", within=(0, None))
 

@@ -234,14 +234,13 @@ _MARGIN = 1.15  # of the force: so far beyond the largest the beam must still st
 class Limits:
     """What the experimenter allows. Angles in radians."""
 
-    force: float | None = option(  # before the first push no limit
-        "--max-force-N", None, "Default: twice the largest so far.", metavar="N", within=POSITIVE
-    )
+    force: float | None = option(
+        "--max-force-N", None, "Default: twice the largest so far.", within=POSITIVE
+    )  # before the first push no limit
     tip_turn: float | None = option(
         "--max-tip-angle-deg",
         None,
         "Default: 90, and at most 1.25 times the largest curvature so far.",
-        metavar="DEG",
         within=(1.0, 180.0),
     )
     curvature: float = 1.25  # times the largest curvature reached so far

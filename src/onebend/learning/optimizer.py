@@ -578,14 +578,13 @@ class FitSettings:
     most_frames_together: int = 5000  # of all recordings
     first_frames: int = 24  # of each recording, for the way from the start to near the optimum
     first_recordings: int = 10  # evenly chosen, for the same
-    clamp_sd: float | None = option(  # rad
+    clamp_sd: float | None = option(
         "--clamp-sd-deg",
         None,
         f"How far the clamp may be turned, one sd, whatever recording.toml says; default: as that says, or "
         f"{np.degrees(CLAMP_SD):.2g}. It trades off against k.",
-        metavar="DEG",
         within=NOT_NEGATIVE,
-    )
+    )  # rad
     optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
     first_rounds: int = 4  # at most, with the first frames
     last_rounds: int = 6  # at most, with all frames

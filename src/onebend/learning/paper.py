@@ -280,7 +280,7 @@ class RegressionSettings:
     )
     bic: Bic = option("--bic", "textbook", "How complexity counts; paper: as its tables follow.")
     n: int | None = option("--n", None, "Fix the number of curvature modes.", metavar="N")
-    m: int | None = option("--m", None, "Fix the number of stiffness functions.", metavar="M")
+    m: int | None = option("--m", None, "Fix the number of stiffness functions.")
     most_n: int | None = None  # the paper's z; None: all that the tags can tell, at most 8
 
     @property

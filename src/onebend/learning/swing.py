@@ -52,10 +52,8 @@ _HALF_SWINGS = 4  # that are a swing
 class FilmPart:
     """Which frames to take, on the film's clock [s]; None: from the release found in the data, to the end."""
 
-    begin: float | None = option(
-        "--from-s", None, "The beam swings freely from here on in the film; default: found.", metavar="SECONDS"
-    )
-    end: float | None = option("--to-s", None, "And to here in the film; default: to the end.", metavar="SECONDS")
+    begin: float | None = option("--from-s", None, "The beam swings freely from here on in the film; default: found.")
+    end: float | None = option("--to-s", None, "And to here in the film; default: to the end.")
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ class CaptureSettings:
     rest: float = 3.0  # s of each rest
     least_rest: float = 0.8  # s: a push that begins earlier begins the first rest anew
     share: float = 0.5  # of the beam's length by which the tip should move
-    longest: float = option("--longest-s", 600.0, "The film ends then at the latest.", metavar="S", within=(1.0, 1e5))
+    longest: float = option("--longest-s", 600.0, "The film ends then at the latest.", within=(1.0, 1e5))
     crf: int = option("--crf", CRF, "Of H.264: less is larger and finer.", metavar="N", within=(0, 40))
     flush_every: float = 0.5  # s: rows that a sudden end may lose
     state_every: float = 0.1  # s

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-import av
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -43,7 +42,7 @@ class Clock(Protocol):
 
 @dataclass
 class HostClock:
-    """This machine's monotonic clock, that of V4L2's stamps."""
+    """This machine's monotonic clock, that of the stamps of Linux's cameras."""
 
     origin: float = field(default_factory=time.monotonic)
 
@@ -293,12 +292,6 @@ class ForceSource(AnySource, Protocol):
     def read(self, wait: float) -> Samples | End | None:
         """The next rows; None where none came within `wait` [s]."""
         ...
-
-
-def of_yuyv(pairs: Picture) -> tuple[Picture, Any]:
-    """Luma (H, W), and the same with its colours as an `av.VideoFrame`, of YUYV's bytes (H, W, 2): luma, one of two
-    colours."""
-    return pairs[..., 0].copy(), av.VideoFrame.from_ndarray(np.ascontiguousarray(pairs), format="yuyv422")
 
 
 def files_of(*sources: CameraSource | ForceSource | None) -> tuple[Path, ...]:

@@ -28,7 +28,6 @@ class SourceKind(Generic[Made]):
     make: Callable[[str, Options], Made]
 
 
-LONGEST_EXPOSURE = 60_000.0  # ms
 MOST_START, MOST_COUNTS = 1e12, 1e12
 MOST_SIDE = MOST_PORT = 65_535  # px, and of a port
 MOST_RATE, MOST_FPS = 1e6, 100_000.0  # Hz
@@ -127,21 +126,20 @@ def _size(options: Options, default: str) -> tuple[int, int]:
 
 
 def _v4l2(place: str, options: Options) -> sources.CameraSource:
-    asked = cameras.CameraSettings()
-    width, height = _size(options, f"{asked.width}x{asked.height}")
-    packed = options.get("packed", asked.packed)
+    width, height = _size(options, "1280x720")
+    packed = options.get("packed", "MJPG")
     if packed not in cameras.PACKED:
         raise RecordingError(f"packed={packed}: take one of {', '.join(cameras.PACKED)}.")
-    fps = number(options, "fps", asked.fps, least=0.1, most=MOST_FPS)
-    exposure = 1e-3 * number(options, "exposure_ms", math.nan, least=0.01, most=LONGEST_EXPOSURE)
-    return cameras.V4l2Camera(Path(place), cameras.CameraSettings(width, height, fps, exposure, packed))
+    fps = number(options, "fps", 30.0, least=0.1, most=MOST_FPS)
+    asked = {"video_size": f"{width}x{height}", "framerate": f"{fps:g}", "input_format": cameras.PACKED[packed]}
+    return cameras.AvCamera(place, "v4l2", {**asked, "fflags": cameras.NONBLOCK})
 
 
 CAMERAS: dict[str, SourceKind[sources.CameraSource]] = {
     "v4l2": SourceKind(
         "/dev/video0",
         "a camera of Linux, with the kernel's stamps",
-        ("size", "fps", "packed", "exposure_ms"),
+        ("size", "fps", "packed"),
         _v4l2,
     ),
     "av": SourceKind(

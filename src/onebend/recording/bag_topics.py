@@ -99,7 +99,7 @@ def picture_of(message: Any, place: str, *, colour: bool = False) -> Pixels:
     if not hasattr(message, "encoding"):
         return unpacked(message, place, colour)
     height, width, name = int(message.height), int(message.width), str(message.encoding)
-    data = np.asarray(message.data, dtype=np.uint8)
+    data = np.frombuffer(bytes(message.data), dtype=np.uint8)
     size = COLOURS[name][0] if name in COLOURS else 2 if name in LUMA_AT else GREYS.get(name, 1)
     if name not in (*COLOURS, *GREYS, *LUMA_AT, *MOSAICS):
         known = ", ".join((*GREYS, *COLOURS, *MOSAICS, *LUMA_AT))
@@ -337,17 +337,13 @@ class BagContents:
     rows: tuple[TopicRow, ...]
     force: str  # the likeliest topic of the force, "" where there is none
     image: str
-    fault: str  # where the bag breaks off, "" where it does not
 
 
 def bag_contents(path: Path | str) -> BagContents:
-    """Every topic with its type, count, rate and span; a damaged bag up to the damage.
-
-    Raises `RecordingError` where nothing can be read.
-    """
+    """Every topic with its type, count, rate and span. Raises `RecordingError` for a bag that cannot be read."""
     bag = open_bag(Path(path))
     rows = tuple(row_of(bag, topic) for _, topic in sorted(bag.topics.items()))
-    return BagContents(bag.path, rows, guess(bag, "force"), guess(bag, "image"), bag.fault)
+    return BagContents(bag.path, rows, guess(bag, "force"), guess(bag, "image"))
 
 
 def row_of(bag: Bag, topic: Topic) -> TopicRow:
@@ -423,9 +419,9 @@ def with_bags(rec: Recording, written: Mapping[str, Any]) -> Recording:
     video = rec.video if rec.video is not None and rec.video.topic else None
     force = rec.force if rec.force is not None and rec.force.topic else None
     remarks = [*rec.remarks]
-    for name, entry in (("video", video), ("force", force)):
-        if entry is not None:
-            remarks += bag_remarks(name, entry)
+    if video is not None:
+        bag, topic = bag_topic(video)
+        remarks += stamp_remarks(topic, clock_of(bag, topic))
     if force is not None:
         silent = [key for key in ("rotation_deg", "acts_on", "axes") if key not in written["force"]]
         if silent:
@@ -444,19 +440,6 @@ def with_bags(rec: Recording, written: Mapping[str, Any]) -> Recording:
     remarks = [remark for remark in remarks if "when the video starts" not in remark.text]
     remarks.append(Remark("note", text))
     return replace(rec, video=replace(video, start=start, start_uncertainty=doubt), remarks=tuple(remarks))
-
-
-def bag_remarks(name: str, entry: VideoEntry | ForceEntry) -> list[Remark]:
-    """Remarks on damage of the bag and on its topic's clock."""
-    bag, topic = bag_topic(entry)
-    remarks = []
-    if bag.fault:
-        text = f"[{name}] {entry.file.name} is damaged ({bag.fault}): {topic.count} messages of {topic.channel.topic}"
-        text += " before that are used. Check that the push is in them."
-        remarks.append(Remark("warning", text, about="damaged bag"))
-    if isinstance(entry, VideoEntry):
-        remarks += stamp_remarks(topic, clock_of(bag, topic))
-    return remarks
 
 
 def bag_span(video: VideoEntry) -> tuple[int, float]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import inf, nan, pi, radians
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from onebend.recording.schema import flag, key, number, one_of, several, text, whole
 from onebend.records import (
@@ -45,352 +45,150 @@ Axes = Literal["beam", "room"]
 class MassEntry:
     """[[beam.masses]]: something small that rides on the beam."""
 
-    s: float = key("s = 0.5", PLACE, "its place along the beam, 0 at the clamp, 1 at the tip")
-    mass: float = key("mass_kg = 0.004", MASS, "its mass, kg")
+    s: float = key("s", PLACE)
+    mass: float = key("mass_kg", MASS)
 
 
 @dataclass(frozen=True)
 class BeamEntry:
     """[beam]: what is known of the beam."""
 
-    length: float = key("length_m = 0.15", LENGTH, "the beam's length from clamp to tip, m")
-    mass: float = key("mass_kg = 0.075", MASS, "the beam's mass, kg", nan)
-    mass_sd: float = key("mass_sd_kg = 0.0001", MASS_SD, "how exactly that mass is known (one sd), kg; 0: exact", nan)
-    mass_file: Path | None = key(
-        'mass_file = "mass.csv"',
-        text,
-        "a table with columns s and kg_per_m: the mass per metre, where it is not even",
-        None,
-    )
-    stiffness_along: StiffnessAlong = key(
-        'stiffness_along = "even"',
-        one_of("unknown", "even", "section"),
-        'what is known of how k varies: "even" where it is one number (one section and material), as the "section" '
-        'varies (one modulus times its I), or "unknown"',
-        "unknown",
-    )
-    modulus_varies: float = key(
-        "modulus_varies = 0.1",
-        SHARE,
-        "how far the modulus may vary slowly along such a beam (one sd, 0.1 = 10 %); 0: not at all",
-        0.0,
-    )
+    length: float = key("length_m", LENGTH)
+    mass: float = key("mass_kg", MASS, nan)
+    mass_sd: float = key("mass_sd_kg", MASS_SD, nan)
+    mass_file: Path | None = key("mass_file", text, None)
+    stiffness_along: StiffnessAlong = key("stiffness_along", one_of("unknown", "even", "section"), "unknown")
+    modulus_varies: float = key("modulus_varies", SHARE, 0.0)
     mass_along: MassAlong = key(
-        'mass_along = "even"',
-        one_of("unknown", "even", "width", "thickness", "both", "section", "table"),
-        'what is known of how the mass is spread: "even", as the beam\'s "width", "thickness" or "both" vary, as the '
-        'area of its "section" (with mass_kg), as the "table" in mass_file, or "unknown"',
-        "unknown",
+        "mass_along", one_of("unknown", "even", "width", "thickness", "both", "section", "table"), "unknown"
     )
-    width: float = key(
-        "width_m = 0.02", LENGTH, "the beam's size across the bending axis (in the plane of bending), m", nan
-    )
-    thickness: float = key("thickness_m = 0.03", LENGTH, "the beam's size along the bending axis, m", nan)
-    diameter: float = key("diameter_m = 0.012", LENGTH, "the diameter of a round beam, in place of the two, m", nan)
-    inner_diameter: float = key(
-        "inner_diameter_m = 0.010", LENGTH, "the inner diameter of a tube, beside diameter_m, m", nan
-    )
-    across_flats: float = key(
-        "across_flats_m = 0.006",
-        LENGTH,
-        "the width of a hexagonal beam across its flats, in place of the others, m",
-        nan,
-    )
-    section_file: Path | None = key(
-        'section_file = "section.csv"',
-        text,
-        "a table with columns s and width_m, thickness_m, diameter_m, inner_diameter_m or across_flats_m: the sizes "
-        "that vary along the beam; or s and I_m4, the section's second moment",
-        None,
-    )
-    section_sd: float = key(
-        "section_sd_m = 0.0001",
-        number(least=0, most=LONGEST),
-        "how far off these sizes may be (one sd), m; 0: exact",
-        nan,
-    )
-    moment_sd: float = key(
-        "I_sd = 0.05", SHARE, "how far off I_m4 may be, alike at all places (one sd, 0.05 = 5 %); 0: exact", nan
-    )
-    rest: Rest = key(
-        'rest = "unknown"',
-        one_of("straight", "unknown"),
-        'its shape with no force on it: "unknown" where it may be curved; "straight" states that it is not',
-        "unknown",
-    )
-    curvature_sd: float = key(
-        "rest_curvature_sd_deg = 8.6",
-        ANGLE_SD,
-        'how far it may be turned from clamp to tip by its own curvature, where rest = "unknown" (one standard '
-        "deviation), degrees; 0: straight",
-        CURVATURE_SD,
-    )  # rad
-    rest_change_sd: float = key(
-        "rest_change_sd_deg = 2.0",
-        ANGLE_SD,
-        "how far this turn may change from one recording of the beam to the next, "
-        "as where it takes a set (one sd), degrees; 0: all have one shape at rest",
-        0.0,
-    )  # rad
+    width: float = key("width_m", LENGTH, nan)
+    thickness: float = key("thickness_m", LENGTH, nan)
+    diameter: float = key("diameter_m", LENGTH, nan)
+    inner_diameter: float = key("inner_diameter_m", LENGTH, nan)
+    across_flats: float = key("across_flats_m", LENGTH, nan)
+    section_file: Path | None = key("section_file", text, None)
+    section_sd: float = key("section_sd_m", number(least=0, most=LONGEST), nan)
+    moment_sd: float = key("I_sd", SHARE, nan)
+    rest: Rest = key("rest", one_of("straight", "unknown"), "unknown")
+    curvature_sd: float = key("rest_curvature_sd_deg", ANGLE_SD, CURVATURE_SD)  # rad
+    rest_change_sd: float = key("rest_change_sd_deg", ANGLE_SD, 0.0)  # rad
     masses: tuple[MassEntry, ...] = ()
-
-
-def load_sd() -> Any:
-    """The key `load_sd_N`, where loads are weighed."""
-    says = "how exactly the loads are known (one sd), N"
-    return key("load_sd_N = 0.001", SD, says, 0.0)
-
-
-def clamp_sd(default: float) -> Any:
-    """The key `clamp_sd_deg`, kept in rad, where nothing shows the clamp's direction but the pose itself."""
-    says = "how exactly the clamp's angle is known (one sd), degrees"
-    return key("clamp_sd_deg = 1.0", ANGLE_SD, says, default)
-
-
-def clamp_turn_sd() -> Any:
-    """The key `clamp_sd_deg`, kept in rad, where the beam is seen at rest; NaN: as usual."""
-    says = "how far the clamp may be turned against the beam at rest (one sd), degrees; 0: not at all"
-    return key("clamp_sd_deg = 0.17", ANGLE_SD, says, nan)
-
-
-def scale_sd() -> Any:
-    """The key `scale_sd`; NaN: as usual."""
-    says = "how far off lengths in the picture may be (one sd, 0.003 = 0.3 %); 0: exact"
-    return key("scale_sd = 0.003", SD, says, nan)
 
 
 @dataclass(frozen=True)
 class CameraEntry:
     """[camera]: a pinhole camera with OpenCV's lens model, as calibrated."""
 
-    width: int = key("width = 1280", whole(least=1), "the picture's width in the calibration, px")
-    height: int = key("height = 720", whole(least=1), "the picture's height in the calibration, px")
-    fx: float = key("fx = 1200.0", number(least=10), "the focal length along x, px")
-    fy: float = key("fy = 1200.0", number(least=10), "the focal length along y, px")
-    cx: float = key("cx = 639.5", number(), "the principal point's x, px (pixel centres at whole numbers)")
-    cy: float = key("cy = 359.5", number(), "the principal point's y, px (pixel centres at whole numbers)")
-    dist: tuple[float, ...] = key(
-        "dist = [0.0, 0.0, 0.0, 0.0]",
-        several(number(), 4, 5),
-        "the lens: k1, k2, p1, p2 and, if known, k3, as OpenCV calibrates it",
-    )
-    scale_sd: float = scale_sd()
+    width: int = key("width", whole(least=1))
+    height: int = key("height", whole(least=1))
+    fx: float = key("fx", number(least=10))
+    fy: float = key("fy", number(least=10))
+    cx: float = key("cx", number())
+    cy: float = key("cy", number())
+    dist: tuple[float, ...] = key("dist", several(number(), 4, 5))
+    scale_sd: float = key("scale_sd", SD, nan)
 
 
 @dataclass(frozen=True)
 class UncalibratedEntry:
     """[camera] where it says of the pictures' scale alone, and holds no calibration."""
 
-    scale_sd: float = scale_sd()
+    scale_sd: float = key("scale_sd", SD, nan)
 
 
 @dataclass(frozen=True)
 class CameraInfoEntry:
     """[camera] where the film's bag holds the calibration."""
 
-    topic: str = key(
-        'camera_info = "/camera/camera_info"',
-        text,
-        "instead of all these but scale_sd: the topic of the calibration in the bag of [video]",
-        "",
-    )
-    scale_sd: float = scale_sd()
+    topic: str = key("camera_info", text, "")
+    scale_sd: float = key("scale_sd", SD, nan)
 
 
 @dataclass(frozen=True)
 class VideoEntry:
     """[video]: the film and its clock."""
 
-    file: Path = key('file = "video.mp4"', text, "the video file or a bag, relative to this folder")
-    fps: float = key("fps = 30", POSITIVE, "the frame rate, only checked against the file's own", nan)
-    frame_times: Path | Literal["container"] = key(
-        'frame_times = "container"',
-        text,
-        '"container" for the times in the video file, or a CSV file with a column time_s, one row a frame',
-        "container",
-    )
-    topic: str = key('topic = "/camera/image_raw"', text, "the image topic, where file is a bag", "")
-    start: float = key("start_s = 0.0", number(), "the time of the first frame on the force log's clock, s", nan)
-    start_uncertainty: float = key(
-        "start_uncertainty_s = 2.0",
-        DOUBT,
-        "how far off start_s may be (its largest error), s; 0: exact, nothing is looked for",
-        2.0,
-    )  # s; infinity where start_s is not given
-    clamp_sd: float = clamp_turn_sd()  # rad
+    file: Path = key("file", text)
+    fps: float = key("fps", POSITIVE, nan)
+    frame_times: Path | Literal["container"] = key("frame_times", text, "container")
+    topic: str = key("topic", text, "")
+    start: float = key("start_s", number(), nan)
+    start_uncertainty: float = key("start_uncertainty_s", DOUBT, 2.0)  # s; infinity where start_s is not given
+    clamp_sd: float = key("clamp_sd_deg", ANGLE_SD, nan)  # rad
 
 
 @dataclass(frozen=True)
 class MarkersEntry:
     """[markers]: where a tracker saw the markers, and its clock."""
 
-    file: Path = key(
-        'file = "markers.csv"',
-        text,
-        "a CSV table with columns time_s, id (of a curve order), x_m, y_m and, where known, z_m, angle_rad, sd_m",
-    )
-    start: float = key("start_s = 0.0", number(), "what to add to the tracker's time to get the force log's, s", nan)
-    start_uncertainty: float = key(
-        "start_uncertainty_s = 0.0",
-        DOUBT,
-        "how far off start_s may be (its largest error), s; 0: one clock for both",
-        2.0,
-    )  # s; infinity where start_s is not given
-    sd: float = key(
-        "sd_m = 0.0001",
-        POSITIVE,
-        "the noise of a coordinate (one sd) where the table has no column sd_m, m; else taken from the tracks",
-        nan,
-    )
-    clamp: tuple[float, ...] = key(
-        "clamp_m = [0.0, 0.0]",
-        several(number(), 2, 3),
-        "the clamp's place in the tracker's axes, m; else from the base markers or the beam at rest",
-        (),
-    )
-    x_axis: tuple[float, ...] = key(
-        "x_axis = [1.0, 0.0]",
-        several(number(), 2, 3),
-        "the beam's direction at the clamp in the tracker's axes; else from the base markers' angle or the rest",
-        (),
-    )
-    seen_from: tuple[float, ...] = key(
-        "seen_from = [0.0, 0.0, 1.0]",
-        several(number(), 3),
-        "from which side one looks at the plane of bending, in the tracker's axes (3-D tracks)",
-        (0.0, 0.0, 1.0),
-    )
-    clamp_sd: float = clamp_turn_sd()  # rad
+    file: Path = key("file", text)
+    start: float = key("start_s", number(), nan)
+    start_uncertainty: float = key("start_uncertainty_s", DOUBT, 2.0)  # s; infinity where start_s is not given
+    sd: float = key("sd_m", POSITIVE, nan)
+    clamp: tuple[float, ...] = key("clamp_m", several(number(), 2, 3), ())
+    x_axis: tuple[float, ...] = key("x_axis", several(number(), 2, 3), ())
+    seen_from: tuple[float, ...] = key("seen_from", several(number(), 3), (0.0, 0.0, 1.0))
+    clamp_sd: float = key("clamp_sd_deg", ANGLE_SD, nan)  # rad
 
 
 @dataclass(frozen=True)
 class PosesEntry:
     """[poses]: static poses measured by hand, and what loaded the beam in each."""
 
-    file: Path = key(
-        'file = "poses.csv"',
-        text,
-        "a CSV table with columns pose, id (of a curve order), y_m and, where known, x_m, angle_deg, sd_m; "
-        "one row a point",
-    )
-    loads: Path = key(
-        'loads = "loads.csv"',
-        text,
-        "a table with columns pose, s and any of weight_N, mass_kg, fx_N, fy_N, moment_N_m, clamp_deg; one row a load",
-    )
-    axes: Axes = key(
-        'axes = "room"',
-        one_of("beam", "room"),
-        'the axes of points and forces: "beam" (x along it at the clamp) or "room" (x horizontal, y up); both from '
-        "the clamp",
-        "beam",
-    )
-    sd: float = key(
-        "sd_m = 0.001", POSITIVE, "how exactly a point was measured (one sd), m; else estimated from the fit", nan
-    )
-    error_length: float = key(
-        "error_length_m = 0.1",
-        SD,
-        "the way along the beam over which the points' errors are alike (half of their correlation is left), m; "
-        "0: each point has its own",
-        0.0,
-    )
-    read_at: Literal["mark", "x"] = key(
-        'read_at = "x"',
-        one_of("mark", "x"),
-        'where y_m is read: at the "mark" on the beam, wherever it goes, or "x": a ruler or gauge stands at x_m, and '
-        "the beam slides along beneath it",
-        "mark",
-    )
-    relative_to: str = key(
-        'relative_to = "bare"',
-        text,
-        "the pose in which the gauges were zeroed, by its name in the table of loads: all readings count from there",
-        "",
-    )
-    load_sd: float = load_sd()
-    clamp_sd: float = clamp_sd(radians(0.2))  # rad
+    file: Path = key("file", text)
+    loads: Path = key("loads", text)
+    axes: Axes = key("axes", one_of("beam", "room"), "beam")
+    sd: float = key("sd_m", POSITIVE, nan)
+    error_length: float = key("error_length_m", SD, 0.0)
+    read_at: Literal["mark", "x"] = key("read_at", one_of("mark", "x"), "mark")
+    relative_to: str = key("relative_to", text, "")
+    load_sd: float = key("load_sd_N", SD, 0.0)
+    clamp_sd: float = key("clamp_sd_deg", ANGLE_SD, radians(0.2))  # rad
 
 
 @dataclass(frozen=True)
 class PhotosEntry:
     """[photos]: stills of the body or of tags on it, one a static pose, and what loaded the beam in each."""
 
-    folder: Path = key('folder = "photos"', text, "the folder with the pictures, relative to this one")
-    loads: Path = key(
-        'loads = "loads.csv"', text, "a table as for [poses], whose column pose holds the pictures' file names"
-    )
-    axes: Axes = key(
-        'axes = "room"',
-        one_of("beam", "room"),
-        'the axes of the forces: "beam" (x along it at the clamp) or "room" (x horizontal, y up)',
-        "beam",
-    )
-    clicks: Path | None = key(
-        'clicks = "clicks.csv"',
-        text,
-        "without tags on the body: a table with columns pose, x_px, y_px of two or more points along the middle of the "
-        "body in each picture, from the clamp to the tip; and s of the last, where it is not the tip",
-        None,
-    )
-    camera_moves: bool = key("camera_moves = false", flag, "whether the camera was moved between the pictures", False)
-    load_sd: float = load_sd()
-    clamp_sd: float = clamp_sd(nan)  # rad
+    folder: Path = key("folder", text)
+    loads: Path = key("loads", text)
+    axes: Axes = key("axes", one_of("beam", "room"), "beam")
+    clicks: Path | None = key("clicks", text, None)
+    camera_moves: bool = key("camera_moves", flag, False)
+    load_sd: float = key("load_sd_N", SD, 0.0)
+    clamp_sd: float = key("clamp_sd_deg", ANGLE_SD, nan)  # rad
 
 
 @dataclass(frozen=True)
 class FrequencyEntry:
     """One natural frequency of the clamped beam, its other end free."""
 
-    hz: float = key("hz = 3.21", POSITIVE, "the frequency of the free swing, Hz")
-    sd: float = key("sd_hz = 0.01", POSITIVE, "how exactly it is known (one sd), Hz")
-    mode: int = key("mode = 1", whole(least=1), "which of the beam's frequencies it is, 1 the slowest")
-    base_angle: float = key(
-        "base_angle_deg = -90.0",
-        ANGLE,
-        "the beam's x axis in the room, degrees: -90 hangs, 90 stands, 0 lies; none: it swings across gravity",
-        nan,
-    )  # rad
-    damping_ratio: float = key(
-        "damping_ratio = 0.02",
-        number(least=0, most=0.7),
-        "of this swing, which makes it slower by sqrt(1 - ratio^2)",
-        0.0,
-    )
-    tip_mass: float = key("tip_mass_kg = 0.010", SD, "a small mass fixed to the tip, kg", 0.0)
+    hz: float = key("hz", POSITIVE)
+    sd: float = key("sd_hz", POSITIVE)
+    mode: int = key("mode", whole(least=1))
+    base_angle: float = key("base_angle_deg", ANGLE, nan)  # rad
+    damping_ratio: float = key("damping_ratio", number(least=0, most=0.7), 0.0)
+    tip_mass: float = key("tip_mass_kg", SD, 0.0)
 
 
 @dataclass(frozen=True)
 class TagEntry:
     """One tag: where it sits and how it is turned."""
 
-    id: int = key("id = 1", whole(least=0), "the number of the tag")
-    s: float = key(
-        "s = 1.0", PLACE, "its place along the beam, 0 at the clamp, 1 at the tip; on the base 0 if left out"
-    )
-    turn: float = key(
-        "turn_deg = 0",
-        ANGLE,
-        "its printed right-hand side against the beam's direction, counter-clockwise as the camera sees it, degrees",
-        0.0,
-    )  # rad
+    id: int = key("id", whole(least=0))
+    s: float = key("s", PLACE)
+    turn: float = key("turn_deg", ANGLE, 0.0)  # rad
 
 
 @dataclass(frozen=True)
 class TagsEntry:
     """[tags]: the printed tags and where they sit."""
 
-    size: float = key("size_m = 0.012", POSITIVE, "the side of the tag's black square, m", nan)
-    family: str = key('family = "tag36h11"', one_of(*FAMILIES), "the AprilTag family", FAMILIES[0])
-    placement_sd: float = key(
-        f"placement_sd_m = {DEFAULT_PLACEMENT_SD}",
-        SD,
-        "how far off its written place a tag may sit (one sd), m; 0: exact",
-        DEFAULT_PLACEMENT_SD,
-    )
-    turn_sd: float = key(
-        "turn_sd_deg = 1.5", ANGLE_SD, "how far off its written turn a tag may be (one sd), degrees; 0: exact", TURN_SD
-    )  # rad
+    size: float = key("size_m", POSITIVE, nan)
+    family: str = key("family", one_of(*FAMILIES), FAMILIES[0])
+    placement_sd: float = key("placement_sd_m", SD, DEFAULT_PLACEMENT_SD)
+    turn_sd: float = key("turn_sd_deg", ANGLE_SD, TURN_SD)  # rad
     on_base: tuple[TagEntry, ...] = ()  # at least one where a camera looks; the first is the origin
     on_beam: tuple[TagEntry, ...] = ()  # at least one, but in a film that shows the body's outline
 
@@ -399,84 +197,38 @@ class TagsEntry:
 class OutlineEntry:
     """[outline]: the body's own edges in the film, beside its tags or without any; the table may be missing."""
 
-    use: bool = key("use = true", flag, "whether the edges are looked for", True)
-    width: float = key(
-        "width_m = 0.015", POSITIVE, "the body's width in the picture near the clamp, m; else found", nan
-    )
+    use: bool = key("use", flag, True)
+    width: float = key("width_m", POSITIVE, nan)
 
 
 @dataclass(frozen=True)
 class ForceEntry:
     """[force]: the force log, and what is known of its sensor."""
 
-    file: Path = key('file = "force.csv"', text, "the force log, a CSV file or a bag, relative to this folder")
-    columns: tuple[str, str, str] = key(
-        'columns = ["time_s", "fx_N", "fy_N"]',
-        several(text, 3),
-        "the columns with the time [s] and the two forces [N]",
-        ("time_s", "fx_N", "fy_N"),
-    )
-    time_unit: Literal["s", "ms", "us", "ns"] = key(
-        'time_unit = "s"', one_of("s", "ms", "us", "ns"), "the unit of the column with the time", "s"
-    )
-    topic: str = key('topic = "/wrench"', text, "the force's topic, where file is a bag", "")
-    field: str = key(
-        'field = "wrench.force"',
-        text,
-        "where the force stands in the topic's messages; known for wrenches and Franka's states",
-        "",
-    )
-    axes: tuple[str, str] = key(
-        'axes = ["x", "y"]',
-        several(one_of("x", "y", "z", "-x", "-y", "-z"), 2),
-        "the two axes of the bag's forces that span the plane of bending, in the order of x and y",
-        ("x", "y"),
-    )
-    rotation: float = key(
-        "rotation_deg = 0.0",
-        ANGLE,
-        "the log's x axis against the beam's, counter-clockwise as the camera sees it, degrees",
-        0.0,
-    )  # rad
-    rotation_sd: float = key(
-        "rotation_sd_deg = 1.0", ANGLE_SD, "how far off rotation_deg may be (one sd), degrees; 0: exact", DIRECTION_SD
-    )  # rad
-    acts_on: Literal["beam", "robot"] = key(
-        'acts_on = "beam"',
-        one_of("beam", "robot"),
-        'whose force is logged: the one on the "beam", or the reaction on the "robot"',
-        "beam",
-    )
-    sensor: str = key('sensor = "franka-estimate"', text, "the sensor's name", "")
-    zeroed: bool = key("zeroed = false", flag, "whether it was zeroed just before the push", False)
-    gain_sd: float = key("gain_sd = 0.02", SD, "the sensor's scale error (one sd, 0.02 = 2 %); 0: exact", GAIN_SD)
-    white_sd: float = key(
-        "white_sd_N = 0.03", SD, "the sensor's noise at rest (one sd), N; compared with the log's own", nan
-    )
-    bias_sd: float = key(
-        "bias_sd_N = 0.2", SD, "the sensor's error under load that no rest shows (one sd), N; 0: none", nan
-    )
+    file: Path = key("file", text)
+    columns: tuple[str, str, str] = key("columns", several(text, 3), ("time_s", "fx_N", "fy_N"))
+    time_unit: Literal["s", "ms", "us", "ns"] = key("time_unit", one_of("s", "ms", "us", "ns"), "s")
+    topic: str = key("topic", text, "")
+    field: str = key("field", text, "")
+    axes: tuple[str, str] = key("axes", several(one_of("x", "y", "z", "-x", "-y", "-z"), 2), ("x", "y"))
+    rotation: float = key("rotation_deg", ANGLE, 0.0)  # rad
+    rotation_sd: float = key("rotation_sd_deg", ANGLE_SD, DIRECTION_SD)  # rad
+    acts_on: Literal["beam", "robot"] = key("acts_on", one_of("beam", "robot"), "beam")
+    sensor: str = key("sensor", text, "")
+    zeroed: bool = key("zeroed", flag, False)
+    gain_sd: float = key("gain_sd", SD, GAIN_SD)
+    white_sd: float = key("white_sd_N", SD, nan)
+    bias_sd: float = key("bias_sd_N", SD, nan)
 
 
 @dataclass(frozen=True)
 class PushEntry:
     """[push]: where the force acts; a place, or the name of a column of the force log that gives it."""
 
-    at: float = key("at_s = 1.0", number(above=0, most=1), "where the force acts, 0 at the clamp, 1 at the tip", nan)
-    column: str = key('column = "push_s"', text, "the force log's column that gives the place of the push", "")
-    at_sd: float = key(
-        "at_sd_m = 0.0025",
-        SD,
-        "how far off that place the force may act along the beam (one sd), m; 0: exact",
-        PLACE_SD,
-    )
-    friction_sd: float = key(
-        "friction_sd = 0.3",
-        SD,
-        "the tool rubs and the log lacks the force along the beam, as of a sensor with one axis: coefficient of "
-        "friction (one sd); 0: no such force",
-        0.0,
-    )
+    at: float = key("at_s", number(above=0, most=1), nan)
+    column: str = key("column", text, "")
+    at_sd: float = key("at_sd_m", SD, PLACE_SD)
+    friction_sd: float = key("friction_sd", SD, 0.0)
 
 
 @dataclass(frozen=True)
@@ -484,23 +236,11 @@ class GravityEntry:
     """[gravity]: the weight acts in the plane of bending; angles counter-clockwise from horizontal, as the camera
     sees."""
 
-    direction: float = key("direction_deg = -90.0", ANGLE, "where it pulls, in the room, degrees")  # rad
-    magnitude: float = key(
-        "magnitude_m_s2 = 9.81", number(least=0, most=100), "the acceleration of gravity, m/s^2", 9.81
-    )
-    base_angle: float = key("base_angle_deg = 0.0", ANGLE, "the beam's x axis in the room, degrees", nan)  # rad
-    base_angle_file: Path | None = key(
-        'base_angle_file = "base_angle.csv"',
-        text,
-        "a CSV file with columns time_s (the force log's clock) and base_deg",
-        None,
-    )
-    direction_sd: float = key(
-        "direction_sd_deg = 2.0",
-        ANGLE_SD,
-        "how far off gravity's direction against the beam's x axis may be (one sd), degrees; 0: exact",
-        GRAVITY_SD,
-    )  # rad
+    direction: float = key("direction_deg", ANGLE)  # rad
+    magnitude: float = key("magnitude_m_s2", number(least=0, most=100), 9.81)
+    base_angle: float = key("base_angle_deg", ANGLE, nan)  # rad
+    base_angle_file: Path | None = key("base_angle_file", text, None)
+    direction_sd: float = key("direction_sd_deg", ANGLE_SD, GRAVITY_SD)  # rad
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,6 @@ class ObserveSettings:
         "--epsilon-s",
         None,
         "Take the log's nearest row, at most this far from a frame (as in the paper); default: interpolate.",
-        metavar="SECONDS",
         within=(0.0, 1e9),
     )
     check_force: bool = True  # refuse a force that contradicts the bending

@@ -1,6 +1,7 @@
 """How a table of a TOML file becomes a frozen record.
 
-A field is declared once with `key(...)`; reading, units, messages with lines, and the template follow from that."""
+A field is declared once with `key(...)`, and explained once in `keys.toml`; reading, units, messages with lines, and
+the template follow from that."""
 
 from __future__ import annotations
 
@@ -8,8 +9,11 @@ import dataclasses
 import difflib
 import math
 import re
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
 
@@ -28,24 +32,42 @@ Record = TypeVar("Record")
 
 @dataclass(frozen=True)
 class Key:
-    """A key of the file: its name with the unit, its check, one line of explanation, and an example as TOML."""
+    """A key of the file: its name with the unit, its check, an example as TOML, and one line of explanation."""
 
     name: str
     check: Check
-    says: str
-    example: str
+    example: str = ""
+    says: str = ""
 
 
-def key(line: str, check: Check, says: str, default: Any = dataclasses.MISSING) -> Any:
-    """A dataclass field read from the file; `line` is an example, as `length_m = 0.15`. Required without a default."""
-    name, _, example = line.partition(" = ")
-    return field(default=default, metadata={"key": Key(name, check, says, example)})
+def key(name: str, check: Check, default: Any = dataclasses.MISSING) -> Any:
+    """A dataclass field read from the file. Required without a default. `keys.toml` beside the module explains it."""
+    return field(default=default, metadata={"key": Key(name, check)})
 
 
 def keys_of(record: type) -> dict[str, tuple[Key, bool]]:
     """Field name -> (key, required) of a record declared with `key`, in the order of declaration."""
-    declared = (entry for entry in dataclasses.fields(record) if "key" in entry.metadata)
-    return {entry.name: (entry.metadata["key"], entry.default is dataclasses.MISSING) for entry in declared}
+    said = explanations(Path(str(sys.modules[record.__module__].__file__)).with_name("keys.toml"))
+    own = said.get("every", {}) | said.get(record.__name__, {})
+    declared = [(entry, entry.metadata["key"]) for entry in dataclasses.fields(record) if "key" in entry.metadata]
+    return {
+        entry.name: (Key(one.name, one.check, *own[one.name]), entry.default is dataclasses.MISSING)
+        for entry, one in declared
+    }
+
+
+@cache
+def explanations(path: Path) -> dict[str, dict[str, tuple[str, str]]]:
+    """By record and name of a key: its example and its explanation, from lines `name = example  # explanation`."""
+    tables: dict[str, dict[str, tuple[str, str]]] = {}
+    for line in path.read_text(encoding="utf-8").splitlines():
+        name, equals, rest = line.partition(" = ")
+        if line.startswith("["):
+            tables[line.strip("[]")] = {}
+        elif equals and tables:
+            example, _, says = rest.partition("  # ")
+            list(tables.values())[-1][name] = (example, says)
+    return tables
 
 
 def number(*, above: float = -math.inf, least: float = -math.inf, most: float = math.inf, scale: float = 1.0) -> Check:

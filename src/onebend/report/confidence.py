@@ -10,7 +10,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.section import ModulusBand, one_modulus
-from onebend.beam.stiffness import IDENTIFIED_SD, UncertainStiffness, half_width, half_width_words
+from onebend.beam.stiffness import IDENTIFIED_SD, Band, UncertainStiffness, half_width, half_width_words
 from onebend.learning import criticism, outcome, run, verdict
 from onebend.learning.attribution import FORCE_SCALE, SHIFTS, WIDENS, Attribution, hidden_by
 from onebend.learning.posterior import Nuisance, Posterior, tradeoffs, with_level
@@ -79,6 +79,12 @@ def typical_half_width(uncertain: UncertainStiffness) -> float:
         return float("nan")
     s = np.concatenate([np.linspace(low, high, 51) for low, high in ranges])
     return float(np.median(uncertain.half_width(s)))
+
+
+def half_widths(band: Band) -> list[str]:
+    """ "7.4 %", "x 2.4"."""
+    halves = 0.5 * np.log(band.high / band.low)
+    return [half_width_words(float(half)).removeprefix("± ").replace("a factor of ", "x ") for half in halves]
 
 
 def stiffness_range(findings: run.Run) -> tuple[float, float]:

@@ -307,7 +307,7 @@ def width_words(width: float) -> str:
 @dataclass(frozen=True)
 class Sentence:
     text: str
-    about: str = ""  # a key of `errors.SECTIONS`; empty: no warning
+    about: str = ""  # a key of `sections.toml`; empty: no warning
     do: str = ""  # remedy of a cause
     do_for_poses: str = ""  # for static poses, if different
     do_without_camera: str = ""  # without a film, if different

@@ -52,7 +52,7 @@ class Verdict:
     next: str  # one action
     error: float  # m RMS of the worst tag, or NaN
     error_of: ErrorOf
-    about: str = ""  # key of `errors.SECTIONS`, or ""
+    about: str = ""  # key of `sections.toml`, or ""
 
     def as_dict(self) -> dict[str, Any]:
         fields = asdict(self)

@@ -105,7 +105,7 @@ class Desk:
         await self._in_thread(lambda: import_module(module))
 
     async def end(self) -> None:
-        await asyncio.gather(self.jobs.stop(), *(one.stop() for one in self.works.values()), self.recorder.end())
+        await asyncio.gather(*(one.stop() for one in (self.jobs, *self.works.values(), self.recorder)))
         for task in self._tasks:
             task.cancel()
         self.thread.shutdown(wait=False, cancel_futures=True)

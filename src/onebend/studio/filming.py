@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
 import base64
-import contextlib
-import json
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from onebend.errors import OnebendError, StudioError
-from onebend.studio.jobs import asked_number, begun, ended, lines_of
+from onebend.studio.jobs import Job, Jobs, asked_number, ended
 from onebend.studio.places import RECORDING, StudioFolder, is_file, plain_word, record_line
 
 _PATIENCE = 20.0  # s for a stopped recorder to write everything
@@ -28,121 +25,102 @@ _DEVICES = ("video*", "serial/by-id/*", "ttyUSB*", "ttyACM*")
 
 
 @dataclass
-class MadeRecording:
+class MadeRecording(Job):
     """A recording in progress, or the last one."""
 
-    wanted: dict[str, Any]
     length_m: float = 0.0
     phase: str = "starting"  # recording, stopping, checking, done, failed
-    state: dict[str, Any] = field(default_factory=dict)  # from `recorder.state_data`
+    known: dict[str, Any] = field(default_factory=dict)  # from `recorder.state_data`
     curve: dict[str, Any] | None = None  # k(s) so far
-    picture: int = 0  # of the newest
+    pictures: dict[int, bytes] = field(default_factory=dict)  # the newest, by number
     outcome: dict[str, Any] | None = None
     check: dict[str, Any] | None = None
-    error: str = ""
+    passing: bool = False  # what was heard last is soon replaced
 
     @property
     def goes_on(self) -> bool:
         return self.phase in _GOING
 
+    @property
+    def busy(self) -> str:
+        return f"{self.wanted['out']} is being recorded. Stop it, or wait"
+
     def shown(self) -> dict[str, Any]:
-        own = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "wanted"}
-        return {"out": self.wanted["out"], "command": self.wanted["command"], **own}
+        own = {name: getattr(self, name) for name in ("length_m", "phase", "curve", "outcome", "check", "error")}
+        now = {"state": self.known, "picture": max(self.pictures, default=0)}
+        return {"out": self.wanted["out"], "command": self.wanted["command"], **own, **now}
+
+    def hear(self, said: dict[str, Any]) -> None:
+        if "picture" in said:
+            self.pictures[max(self.pictures, default=0) + 1] = base64.b64decode(said["picture"])
+            for number in sorted(self.pictures)[:-_KEPT]:
+                del self.pictures[number]
+        self.passing = "state" in said
+        if self.passing:
+            self.known, self.curve = said["state"], said.get("curve", self.curve)
+            if self.phase == "starting":
+                self.phase = "recording"
+        self.length_m = said.get("length_m", self.length_m)
+        if "outcome" in said:
+            self.outcome = said["outcome"]
+            self.phase = "checking" if self.outcome["begun"] else self.phase
+        self.check = said.get("check", self.check)
+        self.error = said.get("error", self.error)
+
+    def end(self, code: int) -> None:
+        self.passing = False
+        if self.goes_on:
+            failed = self.outcome is None or bool(self.outcome["fault"]) or not self.outcome["begun"]
+            self.phase = "failed" if failed else "done"
+        if self.outcome is None and not self.error:
+            kept = f"The recording up to then is in {self.wanted['out']}" if self.known.get("frames") else "Try again"
+            self.error = f"the recorder ended with {code}. {kept}"
 
 
-class RecorderProcess:
+class RecorderProcess(Jobs):
     """At most one recording at a time, in the server's loop."""
+
+    kind = MadeRecording
 
     def __init__(self, tell: Callable[[dict[str, Any], bool], None]) -> None:
         """`tell`: a message to all tabs, and whether slow ones may skip it."""
+        super().__init__("recorder", self._changed, _PATIENCE)
         self._tell = tell
-        self.made: MadeRecording | None = None
-        self._pictures: dict[int, bytes] = {}
-        self._count = 0
-        self._process: asyncio.subprocess.Process | None = None
-        self._task: asyncio.Task[None] | None = None
 
-    def shown(self) -> dict[str, Any] | None:
-        """None before the first recording."""
-        return None if self.made is None else self.made.shown()
+    @property
+    def made(self) -> MadeRecording | None:
+        return self.job if isinstance(self.job, MadeRecording) else None
 
     def picture(self, number: int) -> bytes:
         """A JPEG, or the newest. Raises `StudioError` before the first."""
-        if not self._pictures:
+        if self.made is None or not self.made.pictures:
             raise StudioError("no picture came yet")
-        return self._pictures.get(number) or self._pictures[max(self._pictures)]
-
-    async def start(self, wanted: dict[str, Any]) -> None:
-        """Raises `StudioError` during another recording."""
-        if self.made is not None and self.made.goes_on:
-            raise StudioError(f"{self.made.wanted['out']} is being recorded. Stop it, or wait")
-        self.made = made = MadeRecording(wanted)
-        self._pictures.clear()
-        self._process = await begun("recorder")
-        self._write(json.dumps(wanted))
-        self._task = asyncio.create_task(self._follow(made, self._process))
-        self._changed()
+        return self.made.pictures.get(number) or self.made.pictures[max(self.made.pictures)]
 
     def begin(self) -> None:
         """Begins the film despite a poor picture."""
         if self.made is not None and self.made.goes_on:
-            self._write("begin")
+            self.say("begin")
 
-    def stop(self) -> None:
+    def end_film(self) -> None:
         """Ends the film and keeps it."""
         if self.made is not None and self.made.phase in ("starting", "recording"):
             self.made.phase = "stopping"
-            self._write("stop")
-            self._changed()
+            self.say("stop")
+            self.changed()
 
-    async def end(self) -> None:
-        """Stops and waits until all is on disk; kills a recorder that does not end."""
+    async def stop(self) -> None:
+        """Ends the film and waits until all is on disk; kills a recorder that does not end."""
         process = self._process
-        if process is None or process.returncode is not None:
-            return
-        assert process.stdin is not None
-        process.stdin.close()
-        await ended(process, _PATIENCE)
+        if process is not None and process.returncode is None and process.stdin is not None:
+            process.stdin.close()
+            await ended(process, self._patience)
 
-    def _write(self, line: str) -> None:
-        assert self._process is not None
-        assert self._process.stdin is not None
-        with contextlib.suppress(OSError, RuntimeError):  # already ended
-            self._process.stdin.write(f"{line}\n".encode())
-
-    async def _follow(self, made: MadeRecording, process: asyncio.subprocess.Process) -> None:
-        async for said in lines_of(process):
-            self._hear(made, said)
-        code = await process.wait()
-        if made.phase in _GOING:
-            failed = made.outcome is None or bool(made.outcome["fault"]) or not made.outcome["begun"]
-            made.phase = "failed" if failed else "done"
-        if made.outcome is None and not made.error:
-            kept = f"The recording up to then is in {made.wanted['out']}" if made.state.get("frames") else "Try again"
-            made.error = f"the recorder ended with {code}. {kept}"
-        self._changed()
-        self._tell({"what": "places"}, False)
-
-    def _hear(self, made: MadeRecording, said: dict[str, Any]) -> None:
-        if "picture" in said:
-            self._count += 1
-            made.picture, self._pictures[self._count] = self._count, base64.b64decode(said["picture"])
-            for number in sorted(self._pictures)[:-_KEPT]:
-                del self._pictures[number]
-        if "state" in said:
-            made.state, made.curve = said["state"], said.get("curve", made.curve)
-            if made.phase == "starting":
-                made.phase = "recording"
-        made.length_m = said.get("length_m", made.length_m)
-        if "outcome" in said:
-            made.outcome = said["outcome"]
-            made.phase = "checking" if made.outcome["begun"] else made.phase
-        made.check = said.get("check", made.check)
-        made.error = said.get("error", made.error)
-        self._changed(passing="state" in said)
-
-    def _changed(self, *, passing: bool = False) -> None:
-        self._tell({"what": "recording", "recording": self.shown()}, passing)
+    def _changed(self) -> None:
+        made = self.made
+        self._tell({"what": "recording", "recording": self.shown()}, made is not None and made.passing)
+        if made is not None and not made.goes_on:
+            self._tell({"what": "places"}, False)
 
 
 def wanted_recording(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:

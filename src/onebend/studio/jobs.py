@@ -35,6 +35,15 @@ class Job:
     now: dict[str, Any] | None = None  # what is known now, of work that goes with the clock
     ended: float | None = None
 
+    @property
+    def goes_on(self) -> bool:
+        return self.state in ("running", "stopping")
+
+    @property
+    def busy(self) -> str:
+        """Why another cannot begin."""
+        return f"another runs: {self.wanted['command']}. Stop it, or wait"
+
     def shown(self) -> dict[str, Any]:
         return {
             **{name: value for name, value in self.wanted.items() if name != "folder"},
@@ -64,9 +73,21 @@ class Job:
         elif "error" in said:
             self.error = str(said["error"])
 
+    def end(self, code: int) -> None:
+        """The process ended."""
+        self.ended = time.time()
+        if code == 0:
+            self.state = "done"
+        elif self.state == "stopping" or code == 130:
+            self.state = "stopped"
+        else:
+            self.state, self.error = "failed", self.error or f"the process ended with {code}"
+
 
 class Jobs:
     """Work of one kind, one at a time."""
+
+    kind: type[Job] = Job
 
     def __init__(self, module: str, changed: Callable[[], None], patience: float = _PATIENCE) -> None:
         """`module`: of this folder, run as a process, which has so much `patience` [s] to end after an interrupt."""
@@ -81,9 +102,9 @@ class Jobs:
 
     async def start(self, wanted: dict[str, Any]) -> None:
         """Raises `StudioError` while a job of this kind runs."""
-        if self.job is not None and self.job.state in ("running", "stopping"):
-            raise StudioError(f"another runs: {self.job.wanted['command']}. Stop it, or wait")
-        self.job = Job(wanted)
+        if self.job is not None and self.job.goes_on:
+            raise StudioError(self.job.busy)
+        self.job = self.kind(wanted)
         self._process = await begun(self.module)
         self.say(json.dumps(wanted))
         self._task = asyncio.create_task(self._follow(self.job, self._process))
@@ -112,14 +133,7 @@ class Jobs:
         async for said in lines_of(process):
             job.hear(said)
             self.changed()
-        code = await process.wait()
-        job.ended = time.time()
-        if code == 0:
-            job.state = "done"
-        elif job.state == "stopping" or code == 130:
-            job.state = "stopped"
-        else:
-            job.state, job.error = "failed", job.error or f"the process ended with {code}"
+        job.end(await process.wait())
         self.changed()
 
 

@@ -170,7 +170,7 @@ class Asked:
             return _said({"out": wanted["out"]})
         if what not in ("begin", "stop"):
             raise StudioError(f"a recording is started, begun and stopped; there is no {what[:100]}")
-        (recorder.begin if what == "begin" else recorder.stop)()
+        (recorder.begin if what == "begin" else recorder.end_film)()
         return _said({})
 
     async def learn(self, request: Request) -> Response:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -175,34 +174,24 @@ def whole(writer: str) -> bytes:
 @given(part=st.floats(0.0, 1.0, exclude_max=True), writer=st.sampled_from(["MCAP", "ROS 1", "sqlite3"]))
 @example(part=0.625, writer="sqlite3")  # within a page of messages, the first of which stand at its end
 @example(part=0.999, writer="MCAP")
-def test_a_cut_bag_is_used_up_to_the_cut_which_is_told(part: float, writer: str) -> None:
+def test_a_cut_bag_is_refused_and_how_to_mend_it_is_told(part: float, writer: str) -> None:
     data = whole(writer)
     with TemporaryDirectory() as folder:
         path = Path(folder) / ("run" + {"MCAP": ".mcap", "ROS 1": ".bag", "sqlite3": ".db3"}[writer])
         path.write_bytes(data[: int(part * len(data))])
-        try:
-            bag = open_bag(path)
-            kept = read_bag_force(force_of(path))
-        except RecordingError as wrong:
-            assert any(word in str(wrong) for word in ("damaged", "no topic", "no message", "at least 10"))  # noqa: PT017
-            return
-        assert len(kept.time) == bag.topics["/wrench"].count
-        assert bag.fault or len(kept.time) == 60  # only its index was cut off
-        assert np.array_equal(kept.force, LOG.force[: len(kept.time), :2])
+        with pytest.raises(RecordingError, match=r"is no bag, damaged, or without its index .*mcap recover"):
+            read_bag_force(force_of(path))
 
 
 @pytest.mark.parametrize("writer", ["MCAP", "ROS 1"])
-def test_a_fault_behind_a_good_index_is_found_with_its_place(tmp_path: Path, writer: str) -> None:
+def test_a_fault_behind_a_good_index_is_found(tmp_path: Path, writer: str) -> None:
     data = bytearray(whole(writer))
     middle = len(data) // 2
     data[middle : middle + 300] = bytes(300)
     path = tmp_path / ("run.mcap" if writer == "MCAP" else "run.bag")
     path.write_bytes(data)
-    bag = open_bag(path)
-    assert re.match(r"run\..*at byte [0-9]+ ", bag.fault)
-    kept = read_bag_force(force_of(path))
-    assert 10 <= len(kept.time) == bag.topics["/wrench"].count < 60
-    assert np.array_equal(kept.force, LOG.force[: len(kept.time), :2])
+    with pytest.raises(RecordingError, match=r"run\..* cannot be read: .*damaged"):
+        read_bag_force(force_of(path))
 
 
 def test_a_journal_beside_a_database_is_not_overlooked(tmp_path: Path) -> None:
@@ -215,7 +204,7 @@ def test_a_journal_beside_a_database_is_not_overlooked(tmp_path: Path) -> None:
 def test_other_files_are_refused(tmp_path: Path) -> None:
     for name in ("run.mcap", "run.bag", "run.db3"):
         (tmp_path / name).write_bytes(b"no bag at all, whatever its name")
-        with pytest.raises(RecordingError, match="begins like no"):
+        with pytest.raises(RecordingError, match="is no bag"):
             open_bag(tmp_path / name)
     with pytest.raises(RecordingError, match="is no bag"):
         open_bag(tmp_path / "absent.mcap")

@@ -13,7 +13,6 @@ from typer.testing import CliRunner
 
 from onebend.cli import app
 from onebend.errors import RecordingError
-from onebend.recording.bag_topics import bag_contents
 from onebend.recording.camera import measure_markers
 from onebend.recording.entries import VideoEntry
 from onebend.recording.folder import read_recording
@@ -193,24 +192,22 @@ def test_check_and_topics_say_what_is_in_a_bag(tmp_path: Path) -> None:
     assert 'topic = "/wrench"' in asked.stdout
     assert 'topic = "/image"' in asked.stdout
     told = json.loads(CliRunner().invoke(app, ["topics", str(tmp_path / "run.mcap"), "--json"]).stdout)
-    assert (told["force"], told["image"], told["fault"]) == ("/wrench", "/image", None)
+    assert (told["force"], told["image"]) == ("/wrench", "/image")
     assert [row["count"] for row in told["topics"]] == [12, 60]
     assert told["topics"][1]["rate"] == pytest.approx(100.0)
     assert told["topics"][1]["start"] == pytest.approx(bagged.START * 1e-9, abs=1e-6)
 
 
-def test_a_cut_bag_shows_what_it_holds_and_is_used_up_to_the_cut(tmp_path: Path) -> None:
+def test_a_cut_bag_is_told_in_one_message(tmp_path: Path) -> None:
     bag = bagged.write_mcap(tmp_path / "run.mcap", LOG, PICTURES)
     bag.write_bytes(bag.read_bytes()[:3500])
-    found = bag_contents(bag)
-    assert "is cut off" in found.fault
-    images, forces = (row.count for row in found.rows)
-    assert 10 < forces < 60
-    assert "The bag is damaged" in CliRunner().invoke(app, ["topics", str(bag)]).stdout
+    asked = CliRunner().invoke(app, ["topics", str(bag)])
+    assert asked.exit_code == 2
+    assert "damaged" in asked.stderr
+    assert "a-bag-is-damaged" in asked.stderr
     folder_of(tmp_path, BOTH)
-    said = [remark.text for remark in read_recording(tmp_path).remarks if remark.level == "warning"]
-    assert any(f"{forces} messages of /wrench before that are used" in text for text in said)
-    assert any(f"{images} messages of /image before that are used" in text for text in said)
+    with pytest.raises(RecordingError, match="mcap recover"):
+        read_recording(tmp_path)
 
 
 def test_tags_in_a_bag_of_packed_pictures_are_found(tmp_path: Path) -> None:

@@ -43,14 +43,11 @@ class SenseSettings:
     at_s: float | None = option(
         "--push-at", None, "Where the force acts; default: as written.", metavar="S", within=(1e-6, 1.0)
     )
-    at_sd: float | None = option(
-        "--push-sd-m", None, "One sd of that place; default: as written.", metavar="M", within=NOT_NEGATIVE
-    )
+    at_sd: float | None = option("--push-sd-m", None, "One sd of that place; default: as written.", within=NOT_NEGATIVE)
     force_prior: float | None = option(
         "--force-prior-N",
         None,
         "One sd of each component of the force before any shape is seen; default: three times k/L.",
-        metavar="N",
         within=POSITIVE,
     )
     tags: Literal["learned", "anew"] = option(
@@ -58,11 +55,7 @@ class SenseSettings:
     )
     moment: bool = option("--moment", False, "The contact transmits a moment besides, as a gripper does.")
     moment_prior: float | None = option(
-        "--moment-prior-Nm",
-        None,
-        "One sd of the moment before; default: the force's times L.",
-        metavar="NM",
-        within=POSITIVE,
+        "--moment-prior-Nm", None, "One sd of the moment before; default: the force's times L.", within=POSITIVE
     )
 
 

@@ -18,7 +18,7 @@ from markupsafe import Markup, escape
 from onebend.beam.stiffness import UncertainStiffness, half_width_words
 from onebend.files.publish import this_onebend
 from onebend.learning.frequencies import compared_frequencies, worst_off
-from onebend.learning.outcome import Comparison, Learned
+from onebend.learning.outcome import Comparison
 from onebend.learning.posterior import Posterior
 from onebend.learning.run import Run
 from onebend.learning.verdict import fitted_rms, possible, unseen_place
@@ -55,7 +55,8 @@ def _environment(package: str, name: str) -> Environment:
     environment = Environment(
         loader=FunctionLoader(source), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
-    environment.filters |= {"code": code_in, "line": one_line, "json": to_json}
+    environment.filters |= {"code": code_in, "line": one_line, "json": to_json, "bic": sentences.bic_words}
+    environment.filters |= {"mm": millimetres, "significant": significant, "posture": posture_words}
     return environment
 
 
@@ -284,17 +285,17 @@ def _content(findings: Run) -> dict[str, Any]:
         "warnings": [row for row in remarks if row["level"] == "warning"],
         "remarks": remarks,
         "fit": None if findings.posterior is None else _fit(findings.posterior, findings.recordings),
-        "k_rows": _stiffness_rows(findings),
+        **_stiffness_rows(findings),
         "modulus": confidence.modulus_rows(confidence.measured_beam(findings), np.linspace(0.0, 1.0, 11)),
         "modulus_words": confidence.modulus_words(confidence.measured_beam(findings)),
         "one_modulus": bool(confidence.one_modulus_words(confidence.measured_beam(findings))),
         "tags": [sentences.tag_words(logged, i) for i in range(len(logged.tag_id))],
-        "swings": _frequency_rows(findings.posterior),
+        "swings": () if findings.posterior is None else compared_frequencies(findings.posterior.frequencies),
         "only_swings": sentences.only_frequencies(findings.recordings),
-        "trainings": [_comparison_row(comparison) for comparison in findings.trainings],
+        "trainings": findings.trainings,
         "learned_figures": _learned_captions(findings),
-        "trials": [] if learned is None else _trials(learned),
-        "validations": [_comparison_row(comparison) for comparison in findings.validations],
+        "trials": () if learned is None else learned.trials,
+        "validations": findings.validations,
         "validation_figures": _validation_captions(findings.validations),
         "inputs": [(recording.source.name, sentences.inputs(recording)) for recording in findings.recordings],
         "assumptions": sentences.assumptions(findings),
@@ -302,7 +303,6 @@ def _content(findings: Run) -> dict[str, Any]:
 
 
 def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, Any]:
-    rms = zip(recordings, fitted_rms(posterior), strict=True)
     unseen = unseen_place(possible(posterior))
     return {
         "doubts": "; ".join(posterior.doubts),
@@ -323,71 +323,22 @@ def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, 
         "stopped": confidence.stop_words(posterior),
         "nuisances": confidence.nuisance_rows(posterior.nuisances()),
         "tradeoffs": confidence.tradeoff_words(posterior),
-        "fitted": [{"name": one.source.name, "rms": [millimetres(value) for value in values]} for one, values in rms],
+        "fitted": fitted_rms(posterior),
     }
 
 
-def _stiffness_rows(findings: Run) -> list[dict[str, Any]]:
-    beam, posterior = findings.beam, findings.posterior
-    s = np.linspace(0.0, 1.0, 11)
-    rows: list[dict[str, Any]] = [
-        {
-            "s": f"{place:.1f}",
-            "k": significant(k),
-            "ei": significant(1e6 * k * beam.length),
-            "known": True,
-        }
-        for place, k in zip(s, beam.stiffness(s), strict=True)
-    ]
-    if posterior is not None:
-        band = posterior.band(s)
-        for row, low, high, known in zip(rows, band.low, band.high, band.identified, strict=True):
-            row |= {"low": significant(low), "high": significant(high), "known": bool(known)}
-            row["half"] = (
-                half_width_words(0.5 * float(np.log(high / low))).removeprefix("± ").replace("a factor of ", "× ")
-            )
-    if posterior is not None and findings.learned is not None:
-        for row, k in zip(rows, findings.learned.beam.stiffness(s), strict=True):
-            row["regression"] = significant(k)
-    return rows
-
-
-def _frequency_rows(posterior: Posterior | None) -> list[dict[str, str]]:
-    rows = () if posterior is None else compared_frequencies(posterior.frequencies)
-    return [
-        {
-            "name": row.recording,
-            "mode": str(row.mode),
-            "posture": posture_words(row.posture),
-            "measured": f"{row.measured:.5g}",
-            "sd": f"{row.sd:.2g}",
-            "fitted": f"{row.fitted:.5g}",
-            "off": f"{row.off:+.1f}",
-        }
-        for row in rows
-    ]
-
-
-def _trials(learned: Learned) -> list[dict[str, Any]]:
-    return [
-        {
-            "kind": "chosen" if i == learned.chosen else "out" if trial.why_out else "",
-            "n": trial.n,
-            "m": trial.m,
-            "rms": [millimetres(value) for value in trial.rms],
-            "bic": sentences.bic_words(trial.bic),
-            "lowest": significant(trial.lowest_k),
-            "condition": significant(trial.condition, 2),
-            "why_out": trial.why_out,
-        }
-        for i, trial in enumerate(learned.trials)
-    ]
-
-
-def _comparison_row(comparison: Comparison) -> dict[str, Any]:
-    pairs = zip(comparison.rms, comparison.sensor_rms, strict=True)
-    cells = [{"rms": millimetres(rms), "noise": millimetres(noise)} for rms, noise in pairs]
-    return {"name": comparison.name, "frames": len(comparison.frame), "cells": cells}
+def _stiffness_rows(findings: Run) -> dict[str, Any]:
+    """At eleven places: k, its band, and that of the paper's regression."""
+    s, learned = np.linspace(0.0, 1.0, 11), findings.learned
+    band = None if findings.posterior is None else findings.posterior.band(s)
+    return {
+        "places": s,
+        "k": findings.beam.stiffness(s),
+        "band": band,
+        "halves": () if band is None else confidence.half_widths(band),
+        "regression": None if learned is None else learned.beam.stiffness(s),
+        "area": 1e6 * findings.beam.length,
+    }
 
 
 def _validation_captions(comparisons: Sequence[Comparison]) -> list[tuple[str, str]]:
