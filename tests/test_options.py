@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field
 from inspect import Parameter, signature
+from pathlib import Path
 from typing import Annotated, Any
 
 import pytest
 import typer
 from typer.testing import CliRunner
 
-from onebend.options import POSITIVE, Only, expanded, option
+import onebend
+from onebend.cli import Command, all_commands, as_data
+from onebend.options import POSITIVE, Only, expanded, helps, option
 
 
 @dataclass(frozen=True)
@@ -84,3 +88,17 @@ def test_a_command_without_settings_keeps_its_parameters() -> None:
     assert list(signature(expanded(command)).parameters.values()) == [
         Parameter("name", Parameter.KEYWORD_ONLY, default="beam", annotation=str)
     ]
+
+
+def test_every_option_has_its_help_and_every_help_its_option() -> None:
+    commands = {name: Command(name, place) for name, place in all_commands().items()}
+    parameters = {name: as_data(one.function()) for name, one in commands.items()}
+    assert [(name, one["name"]) for name, own in parameters.items() for one in own if not one.get("help")] == []
+    source = "".join(path.read_text(encoding="utf-8") for path in Path(onebend.__file__).parent.rglob("*.py"))
+    for kind, said in helps().items():
+        if kind in commands or kind == "every":
+            names = {one["name"] for name in commands if kind in (name, "every") for one in parameters[name]}
+            assert said.keys() <= names, kind
+            continue
+        [body] = re.findall(rf"^class {kind}\b.*?(?=^[^\s])", source, re.MULTILINE | re.DOTALL)
+        assert re.findall(r' option\("(--[^"]+)"', body) == list(said), kind

@@ -185,6 +185,23 @@ def test_beside_tags_the_edges_are_those_that_move_with_the_tags(wall: float) ->
     np.testing.assert_allclose(middle.width[shown], 2.0 * half_width(stations.s[shown]), atol=0.3e-3)
 
 
+def with_a_block(planes: Planes) -> Planes:
+    """The picture with a black block to the right of the body's first third, which hardly moves there."""
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+    xy = to_plane(VIEW, np.stack([columns, rows], axis=-1).reshape(-1, 2)).reshape(HEIGHT, WIDTH, 2)
+    inside = (xy[..., 0] < 0.35 * LENGTH) & (xy[..., 1] < -0.011)
+    return replace(planes, luma=np.where(inside, 10, planes.luma).astype(np.uint8))
+
+
+def test_a_thing_on_one_side_of_the_body_is_no_edge_of_it() -> None:
+    pictures = [with_a_block(painted(b, seed=i)) for i, b in enumerate(BENDS.tolist())]
+    middle, found = with_tags(pictures, BENDS)
+    assert abs(float(np.nanmean(errors(points(middle, found), BENDS)))) < 0.2
+    stations, hidden, _ = stations_and_hidden()
+    shown = ~hidden & (stations.s < 0.99)
+    np.testing.assert_allclose(middle.width[shown], 2.0 * half_width(stations.s[shown]), atol=0.3e-3)
+
+
 def test_beside_tags_without_a_body_nothing_is_found() -> None:
     with pytest.raises(ObservationError, match="no two edges"):
         with_tags([painted(0.0, ends=0.02, seed=i) for i in range(len(BENDS))], BENDS)
@@ -195,7 +212,8 @@ def test_the_best_line_is_the_brightest_one_that_does_not_jump() -> None:
     ridge = (20 + 8 * np.sin(np.arange(40) / 6.0)).astype(int)
     worth[np.arange(40), ridge] = 1.0
     worth[10:13, 55] = 1.5  # brighter, and elsewhere
-    np.testing.assert_array_equal(outline.best_line(worth), ridge)
+    planes = np.stack([np.zeros((40, 60)), worth], axis=1)
+    np.testing.assert_array_equal(outline.best_line(planes), np.stack([np.ones(40), ridge], axis=1))
 
 
 def test_both_flanks_tell_the_error_of_their_middle_and_how_long_it_lasts() -> None:
@@ -244,11 +262,11 @@ def test_a_curve_off_the_body_is_refused() -> None:
         outline.refuse_lost(middle, strayed, ~hidden, "painted")
 
 
-def beside_tags(*, off: float = 0.0, drift: float = 0.0) -> Markers:
-    """A bending body with points of its outline and a tag `off` m to its left, against which the line moves by `drift`
-    m while the body bends."""
-    s, every = np.linspace(0.05, 0.95, 19), bends()
-    s = np.sort(np.append(s, 0.52))
+def beside_tags(*, off: float = 0.0, drift: float = 0.0, most: float = 0.25, gap: float = 0.0) -> Markers:
+    """A body that bends by `most` rad, with points of its outline and a tag `off` m to its left, against which the line
+    moves by `drift` m while the body bends; no points in a `gap` behind the tag."""
+    s, every = np.linspace(0.05, 0.95, 19), bends(most=most)
+    s = np.sort(np.append(s[(s < 0.52) | (s > 0.52 + gap)], 0.52))
     tag = s == 0.52
     shapes = [line(bend, s) for bend in every]
     xy, angle = np.stack([one for one, _ in shapes]), np.stack([one for _, one in shapes])
@@ -269,6 +287,10 @@ def beside_tags(*, off: float = 0.0, drift: float = 0.0) -> Markers:
 def test_an_outline_that_contradicts_a_tag_is_told(off: float, drift: float, said: str) -> None:
     assert said in (found := outline.contradicted(beside_tags(off=off, drift=drift), recording()))
     assert bool(found) == bool(said)
+
+
+def test_a_tag_at_the_edge_of_a_gap_is_not_contradicted_by_the_chord_over_it() -> None:
+    assert not outline.contradicted(beside_tags(most=1.2, gap=0.2), recording())
 
 
 def test_beside_tags_a_body_that_is_not_found_is_left_out_with_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:

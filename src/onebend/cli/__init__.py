@@ -140,7 +140,7 @@ class Command(TyperCommand):
         """With a parameter for each option."""
         from onebend.options import expanded  # here: `--help` does without
 
-        return expanded(self.place.load())
+        return expanded(self.place.load(), str(self.name))
 
     def make_context(self, info_name: str | None, args: list[str], *more: Any, **kwargs: Any) -> Any:
         if {*HELP} & {*args} and (described := self.described()) is not None:

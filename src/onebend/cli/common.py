@@ -46,31 +46,16 @@ if TYPE_CHECKING:
 
 LEAST, MOST = POSITIVE
 
-PushAt = Annotated[
-    float,
-    typer.Option("--push-at", min=LEAST, max=1.0, metavar="S", help="Where the force acts: s in (0, 1], 1 the tip."),
-]
-Point = Annotated[
-    float,
-    typer.Option("--point", min=LEAST, max=1.0, metavar="S", help="The point to bring to the goal: s in (0, 1]."),
-]
-Goal = Annotated[tuple[float, float], typer.Option("--goal", metavar="X Y", help="m, in the beam's frame.")]
-Gravity = Annotated[
-    tuple[float, float],
-    typer.Option(
-        "--gravity-m-s2",
-        metavar="GX GY",
-        help="Gravity in the beam's frame; needs a model with a mass. Default: none.",
-    ),
-]
-Recording = Annotated[
-    Path, typer.Argument(metavar="REC", help="Folder with recording.toml, a video and a force log; or that file.")
-]
-Model = Annotated[Path, typer.Argument(metavar="MODEL", help="A model.json, or the results folder that holds one.")]
-Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for the results.")]
-Overwrite = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace earlier results in OUT.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object (SI units) and nothing else.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
+PushAt = Annotated[float, typer.Option("--push-at", min=LEAST, max=1.0, metavar="S")]
+Point = Annotated[float, typer.Option("--point", min=LEAST, max=1.0, metavar="S")]
+Goal = Annotated[tuple[float, float], typer.Option("--goal", metavar="X Y")]
+Gravity = Annotated[tuple[float, float], typer.Option("--gravity-m-s2", metavar="GX GY")]
+Recording = Annotated[Path, typer.Argument(metavar="REC")]
+Model = Annotated[Path, typer.Argument(metavar="MODEL")]
+Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT")]
+Overwrite = Annotated[bool, typer.Option("--force", "--overwrite")]
+Json = Annotated[bool, typer.Option("--json")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q")]
 
 
 # The screen, on which names given by people are text only. Progress: bars on a screen, lines on a pipe.

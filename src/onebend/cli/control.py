@@ -68,14 +68,8 @@ def _sureness_of_goal(error: PredictedError | None, source: str) -> str:
     return f"{ellipse} its {100 * SURE:.0f} % ellipse, from the {source}"
 
 
-Tag = Annotated[
-    int | None,
-    typer.Option("--tag", min=0, metavar="ID", help="In place of --point: the centre of this tag of the recording."),
-]
-GoalAngle = Annotated[
-    float | None,
-    typer.Option("--goal-angle-deg", metavar="DEG", help="The tangent's angle at the point; needs --moment."),
-]
+Tag = Annotated[int | None, typer.Option("--tag", min=0, metavar="ID")]
+GoalAngle = Annotated[float | None, typer.Option("--goal-angle-deg", metavar="DEG")]
 
 
 def reach(
@@ -195,41 +189,20 @@ def _path_sureness(sure: PathSpread | None) -> str:
     return f"{most} at worst, at {sure.time[worst]:.3g} s (2 sd, from the band on k(s))"
 
 
-TargetsFile = Annotated[
-    Path, typer.Option("--targets", metavar="CSV", help="Columns s, x_m, y_m, angle_rad, weight; one row per place.")
-]
-GoalsFile = Annotated[
-    Path, typer.Option("--goals", metavar="CSV", help="Columns time_s, x_m, y_m; with s, angle_rad, weight: shapes.")
-]
-BetweenGoals = Annotated[
-    Literal["force", "smooth", "monotone", "linear"] | None,
-    typer.Option(
-        "--between",
-        help="Between goals: force changes the force evenly (default for one push and one point). The others move the "
-        "targets: smooth along a cubic spline (default otherwise), monotone without overshoot, linear straight.",
-    ),
-]
-FrameName = Annotated[str, typer.Option("--frame", metavar="NAME", help="The beam's frame in the ROS messages.")]
+TargetsFile = Annotated[Path, typer.Option("--targets", metavar="CSV")]
+GoalsFile = Annotated[Path, typer.Option("--goals", metavar="CSV")]
+BetweenGoals = Annotated[Literal["force", "smooth", "monotone", "linear"] | None, typer.Option("--between")]
+FrameName = Annotated[str, typer.Option("--frame", metavar="NAME")]
 
 
 @dataclass(frozen=True)
 class Hands:
     """Pushes and grip of a command."""
 
-    grip: bool = option("--grip", False, "A gripper holds the end s = 1 at a position and an angle.")
-    push_at: tuple[float, ...] = option(
-        "--push-at",
-        (),
-        "A force acts here: s in (0, 1]; may be repeated. Default: the tip.",
-        metavar="S",
-        within=(common.LEAST, 1.0),
-    )
-    max_force: float = option(
-        "--max-force-N", math.inf, "Of every push and of the gripper; default: no bound.", within=POSITIVE
-    )
-    max_moment: float = option(
-        "--max-moment-N-m", math.inf, "Of the gripper; default: no bound.", metavar="N_M", within=POSITIVE
-    )
+    grip: bool = option("--grip", False)
+    push_at: tuple[float, ...] = option("--push-at", (), metavar="S", within=(common.LEAST, 1.0))
+    max_force: float = option("--max-force-N", math.inf, within=POSITIVE)
+    max_moment: float = option("--max-moment-N-m", math.inf, metavar="N_M", within=POSITIVE)
 
     def actuators(self) -> tuple[tuple[Pusher, ...], Grip | None]:
         """Default: a push at the tip, or with a grip none."""

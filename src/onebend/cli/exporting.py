@@ -17,34 +17,13 @@ from onebend.files.single_file import write_files
 from onebend.results.model import StoredModel, model_file
 from onebend.text_files import read_json
 
-ExportTo = Annotated[Kind, typer.Option("--to", help="The software or format.")]
-OutFile = Annotated[
-    Path | None,
-    typer.Option("--output", "-o", metavar="FILE", help="The file to write; default: beam, with the format's ending."),
-]
-Hinges = Annotated[
-    int | None,
-    typer.Option(min=2, max=10_000, metavar="N", help="Hinges of a simulator's chain; default: 40, for newton 20."),
-]
-Samples = Annotated[
-    int | None,
-    typer.Option(
-        min=1, max=MOST_SAMPLES, metavar="N", help="Draw N beams from the band: N files, or N columns of a table."
-    ),
-]
-Seed = Annotated[int, typer.Option(min=0, metavar="S", help="Of the draws.")]
-MassKg = Annotated[
-    float | None,
-    typer.Option("--mass-kg", metavar="KG", help="The beam's mass, spread evenly; default: the mass in MODEL."),
-]
-DampingTime = Annotated[
-    float | None,
-    typer.Option(
-        "--damping-time-s",
-        metavar="SECONDS",
-        help="Damping over stiffness; default: the one in MODEL (`onebend damp`), else 0.02.",
-    ),
-]
+ExportTo = Annotated[Kind, typer.Option("--to")]
+OutFile = Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE")]
+Hinges = Annotated[int | None, typer.Option(min=2, max=10_000, metavar="N")]
+Samples = Annotated[int | None, typer.Option(min=1, max=MOST_SAMPLES, metavar="N")]
+Seed = Annotated[int, typer.Option(min=0, metavar="S")]
+MassKg = Annotated[float | None, typer.Option("--mass-kg", metavar="KG")]
+DampingTime = Annotated[float | None, typer.Option("--damping-time-s", metavar="SECONDS")]
 
 
 def export_command(

@@ -37,31 +37,14 @@ from onebend.results.observations_file import observations_beside
 from onebend.results.provenance import inputs_of, recording_files
 from onebend.results.sensing import SENSE_FORMAT, sense_summary, write_forces
 
-ModelFile = Annotated[
-    Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the model with its damping here.")
-]
+ModelFile = Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE")]
 
 
-Swinging = Annotated[
-    Path,
-    typer.Argument(
-        metavar="REC",
-        help="A recording (film or tracks) with a free swing, or a CSV with time_s and a column for each signal.",
-    ),
-]
+Swinging = Annotated[Path, typer.Argument(metavar="REC")]
 Watched = Annotated[ObserveSettings, Only(("threads",))]
 FASTEST = 1e5  # largest factor of slow motion
-Slowed = Annotated[
-    float,
-    typer.Option(
-        "--slowed",
-        min=common.LEAST,
-        max=FASTEST,
-        metavar="TIMES",
-        help="Slow motion: the film plays this many times slower than the swing was.",
-    ),
-]
-MostModes = Annotated[int, typer.Option("--modes", min=1, max=8, metavar="N", help="The largest number of modes.")]
+Slowed = Annotated[float, typer.Option("--slowed", min=common.LEAST, max=FASTEST, metavar="TIMES")]
+MostModes = Annotated[int, typer.Option("--modes", min=1, max=8, metavar="N")]
 
 
 def frequencies(
@@ -177,24 +160,11 @@ def show_plan(console: Console, plan: design.Plan) -> None:
         console.print(f"[yellow]![/] {escape(reason)}")
 
 
-Recordings = Annotated[
-    list[Path], typer.Argument(metavar="REC...", help="Folders with recording.toml (or these files), of one beam.")
-]
-ValidateOn = Annotated[
-    list[Path] | None,
-    typer.Option("--validate", metavar="REC", help="A recording to check the learned beam on; may be repeated."),
-]
-Method = Annotated[
-    Literal["fit", "regression", "paper"],
-    typer.Option(
-        help="fit: k(s) with a band. regression: the paper's regression, with the tags' angles as well. paper: the "
-        "regression as printed (17), with positions only."
-    ),
-]
+Recordings = Annotated[list[Path], typer.Argument(metavar="REC...")]
+ValidateOn = Annotated[list[Path] | None, typer.Option("--validate", metavar="REC")]
+Method = Annotated[Literal["fit", "regression", "paper"], typer.Option()]
 Observing = Annotated[ObserveSettings, Only(("threads", "epsilon"))]
-NoReport = Annotated[
-    bool, typer.Option("--no-report", help="Write no report and no pictures; this saves a fifth of the time.")
-]
+NoReport = Annotated[bool, typer.Option("--no-report")]
 
 
 def learn(

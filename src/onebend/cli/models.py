@@ -62,16 +62,10 @@ def gravity_on(beam: Beam, gravity: tuple[float, float]) -> tuple[float, float]:
 class SetUpOptions:
     """In which set-up the beam is bent."""
 
-    new_tool: bool = option(
-        "--new-tool", False, "Another tool pushes than in the recording: where it acts and how it slides is open."
-    )
-    new_sensor: bool = option(
-        "--new-sensor", False, "Another sensor gives the force: its scale, axes and slow error are open."
-    )
-    remounted: bool = option("--remounted", False, "The beam was clamped anew: its clamp is open.")
-    beam_alone: bool = option(
-        "--beam-alone", False, "Bend the learned k(s) alone: inextensible, rigidly clamped, the force exact."
-    )
+    new_tool: bool = option("--new-tool", False)
+    new_sensor: bool = option("--new-sensor", False)
+    remounted: bool = option("--remounted", False)
+    beam_alone: bool = option("--beam-alone", False)
 
     def of(self, stored: StoredModel) -> SetUp | None:
         """The set-up with its new parts; None for the beam alone, or where the model has none."""

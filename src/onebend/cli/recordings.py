@@ -82,25 +82,20 @@ def show_overview(console: Console, overview: Overview) -> None:
         console.print(common.remarks_list([(overview.name, remark) for remark in overview.remarks]))
 
 
-Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder to make.")]
-BagPath = Annotated[Path, typer.Argument(metavar="BAG", help="A .mcap, .db3 or .bag file, or a bag's folder.")]
-Picture = Annotated[
-    Path,
-    typer.Option("--output", "-o", metavar="PNG", help="The picture to draw; it replaces that of an earlier check."),
-]
+Folder = Annotated[Path, typer.Argument(metavar="DIR")]
+BagPath = Annotated[Path, typer.Argument(metavar="BAG")]
+Picture = Annotated[Path, typer.Option("--output", "-o", metavar="PNG")]
 
 PICTURE = "check.png"
 
-VideoKind = Annotated[bool, typer.Option("--video", help="A film of the tags and a force log (the default).")]
-RosKind = Annotated[
-    Path | None, typer.Option("--ros", metavar="BAG", help="A ROS bag with film and force; topics are filled in.")
-]
-PhotoKind = Annotated[bool, typer.Option("--photo", help="A photo of a body without tags, bent by its own weight.")]
-PhotosKind = Annotated[bool, typer.Option("--photos", help="Photos of the tags under known loads.")]
-WeightsKind = Annotated[bool, typer.Option("--weights", help="Points measured by hand under hung weights.")]
-MocapKind = Annotated[bool, typer.Option("--mocap", help="Tracks of motion capture and a force log.")]
-AllKeys = Annotated[bool, typer.Option("--all", help="Write every optional key too, commented out.")]
-Yes = Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing, and leave empty what no file tells.")]
+VideoKind = Annotated[bool, typer.Option("--video")]
+RosKind = Annotated[Path | None, typer.Option("--ros", metavar="BAG")]
+PhotoKind = Annotated[bool, typer.Option("--photo")]
+PhotosKind = Annotated[bool, typer.Option("--photos")]
+WeightsKind = Annotated[bool, typer.Option("--weights")]
+MocapKind = Annotated[bool, typer.Option("--mocap")]
+AllKeys = Annotated[bool, typer.Option("--all")]
+Yes = Annotated[bool, typer.Option("--yes", "-y")]
 BESIDE: dict[Kind, str] = {
     "video": "put the video and the force log beside it",
     "ros": "leave the bag where it is",
@@ -271,22 +266,14 @@ def show_calibration(console: Console, calibration: Calibration, out: Path) -> N
     typer.echo(calibration.camera_table())
 
 
-Film = Annotated[Path, typer.Argument(metavar="VIDEO", help="A film of the board, or a bag, taken as the beam is.")]
-BoardOption = Annotated[
-    tuple[str, str],
-    typer.Option(
-        "--board", metavar="KIND SIZE", help="chessboard 9x6 (its inner corners), or charuco 7x5 (its squares)."
-    ),
-]
-SquareMm = Annotated[float, typer.Option("--square-mm", metavar="MM", help="Side of a square, measured on the print.")]
-MarkerMm = Annotated[
-    float | None,
-    typer.Option("--marker-mm", metavar="MM", help="Side of a ChArUco board's tags; default: 3/4 of a square."),
-]
-Dictionary = Annotated[str, typer.Option(metavar="NAME", help="Tag dictionary of a ChArUco board.")]
-ImageTopic = Annotated[str, typer.Option("--topic", metavar="NAME", help="The image topic, if VIDEO is a bag.")]
-MostViews = Annotated[int, typer.Option("--views", min=4, metavar="N", help="The largest number of views to use.")]
-CameraFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The file for the camera table.")]
+Film = Annotated[Path, typer.Argument(metavar="VIDEO")]
+BoardOption = Annotated[tuple[str, str], typer.Option("--board", metavar="KIND SIZE")]
+SquareMm = Annotated[float, typer.Option("--square-mm", metavar="MM")]
+MarkerMm = Annotated[float | None, typer.Option("--marker-mm", metavar="MM")]
+Dictionary = Annotated[str, typer.Option(metavar="NAME")]
+ImageTopic = Annotated[str, typer.Option("--topic", metavar="NAME")]
+MostViews = Annotated[int, typer.Option("--views", min=4, metavar="N")]
+CameraFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE")]
 
 CALIBRATE_FORMAT = "onebend-calibrate-1"
 

@@ -440,16 +440,10 @@ FARTHEST_GOAL = 1e9  # m or rad
 class ReachSettings:
     """Bounds and method of the search for a force."""
 
-    method: Literal["newton", "paper"] = option(
-        "--method", "newton", "newton: exact. paper: Algorithm 1 as printed; its force is applied to the exact beam."
-    )
-    max_force: float | None = option(
-        "--max-force-N", None, "Largest force; default: no bound.", within=POSITIVE
-    )  # infinity means none
-    max_curvature: float | None = option(
-        "--max-curvature-per-m", None, "Largest curvature, beyond that at rest.", within=POSITIVE
-    )
-    moment: bool = option("--moment", False, "The gripper also applies a moment.")
+    method: Literal["newton", "paper"] = option("--method", "newton")
+    max_force: float | None = option("--max-force-N", None, within=POSITIVE)  # infinity means none
+    max_curvature: float | None = option("--max-curvature-per-m", None, within=POSITIVE)
+    moment: bool = option("--moment", False)
     gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2
     tolerance: float = 1e-6  # m, of the point
     steps: int = 20  # least steps of the path of forces

@@ -27,10 +27,10 @@ _METHOD = integration.Method(3, "radau")  # damps motion faster than a tick, as 
 class LoopCamera:
     """Camera and delays."""
 
-    fps: float = option("--fps", 30.0, "Frame rate of the camera.", metavar="HZ", within=(0.1, 100_000.0))
-    delay: float = option("--delay-ms", 0.05, "Delay from exposure to the force's change.", within=(0.0, 10_000.0))
+    fps: float = option("--fps", 30.0, metavar="HZ", within=(0.1, 100_000.0))
+    delay: float = option("--delay-ms", 0.05, within=(0.0, 10_000.0))
     jitter: float = 0.0  # s, sd of the delay
-    noise: float = option("--noise-mm", 5e-5, "Noise of each coordinate of the camera, one sd.", within=(0.0, 1e3))
+    noise: float = option("--noise-mm", 5e-5, within=(0.0, 1e3))
     dropped: float = 0.0  # share of lost frames
     hidden: tuple[tuple[float, float], ...] = ()  # s, intervals
 

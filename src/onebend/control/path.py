@@ -220,11 +220,9 @@ _SLACK = 1.002  # margin for resampling
 class RateLimits:
     """Largest rates; infinite: none."""
 
-    force: float = option("--max-force-rate-N-per-s", np.inf, "Limit for every push.", within=POSITIVE)
-    speed: float = option("--max-speed-m-per-s", np.inf, "Limit for the gripper.", within=POSITIVE)
-    turning: float = option(
-        "--max-turn-rate-deg-per-s", np.inf, "Limit for the gripper.", within=POSITIVE, scale=np.pi / 180.0
-    )
+    force: float = option("--max-force-rate-N-per-s", np.inf, within=POSITIVE)
+    speed: float = option("--max-speed-m-per-s", np.inf, within=POSITIVE)
+    turning: float = option("--max-turn-rate-deg-per-s", np.inf, within=POSITIVE, scale=np.pi / 180.0)
 
     def __post_init__(self) -> None:
         if not min(self.force, self.speed, self.turning) > 0.0:
@@ -261,7 +259,7 @@ _MOMENTS_PER_SAMPLE = 4  # for rates
 
 @dataclass(frozen=True)
 class PathSettings:
-    rate: float = option("--rate-Hz", 1000.0, "Samples of the path.", within=(1e-6, 1e6))
+    rate: float = option("--rate-Hz", 1000.0, within=(1e-6, 1e6))
     limits: RateLimits = field(default_factory=RateLimits)
     shape: ShapeSettings = field(default_factory=ShapeSettings)
 

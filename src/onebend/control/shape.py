@@ -437,9 +437,7 @@ _RANDOM_LOAD_SIZE = 1.5  # of random starts, in mean k over L
 
 @dataclass(frozen=True)
 class ShapeSettings:
-    arm: float | None = option(
-        "--arm-m", None, "An error of 1 rad counts as an error of this many metres; default: L.", within=NOT_NEGATIVE
-    )
+    arm: float | None = option("--arm-m", None, within=NOT_NEGATIVE)
     starts: int = 6  # if the targets are not met from rest
     seed: int = 0
     warn_margin: float = 0.1

@@ -32,26 +32,24 @@ from onebend.progress import Progress, Silent
 from onebend.recording.entries import Recording
 from onebend.recording.folder import FILE_NAME, folder_of, read_recording
 
-Out = Annotated[Path, typer.Argument(metavar="DIR", help="Folder to record into; with recording.toml, or --like.")]
-Goal = Annotated[tuple[float, float] | None, typer.Option("--goal", metavar="X Y", help="m, in the beam's frame.")]
-Replace = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier recording in DIR.")]
+Out = Annotated[Path, typer.Argument(metavar="DIR")]
+Goal = Annotated[tuple[float, float] | None, typer.Option("--goal", metavar="X Y")]
+Replace = Annotated[bool, typer.Option("--overwrite")]
 
 
 @dataclass(frozen=True)
 class DriveOptions:
     """What is wanted, who moves and who sees."""
 
-    goals: Path | None = option("--goals", None, "Goals in time: time_s, x_m, y_m.", metavar="CSV")
-    shape: Path | None = option("--shape", None, "A shape, as for `onebend shape`.", metavar="CSV")
-    camera: str | None = option("--camera", None, "As `record`; ros2:DOMAIN,topic=/NAME.", metavar="SPEC")
-    robot: str | None = option("--robot", None, "ur:, franka:, ros2:, virtual:linear.", metavar="SPEC")
-    force: str | None = option("--force", None, "As `record`; default: the robot's.", metavar="SPEC")
-    like: Path | None = option("--like", None, "A recording of this beam on this bench.", metavar="REC")
-    place: Literal["start", "push", "tag"] = option(
-        "--place", "start", "The robot's base, by: recording.toml's axes; the push, or a tool's tag, in --like."
-    )
-    tool_tag: int | None = option("--tool-tag", None, "On the tool, for --place tag.", metavar="ID", within=(0, None))
-    go: bool = option("--go", False, "Move. Without it the plan is shown, and nothing else happens.")
+    goals: Path | None = option("--goals", None, metavar="CSV")
+    shape: Path | None = option("--shape", None, metavar="CSV")
+    camera: str | None = option("--camera", None, metavar="SPEC")
+    robot: str | None = option("--robot", None, metavar="SPEC")
+    force: str | None = option("--force", None, metavar="SPEC")
+    like: Path | None = option("--like", None, metavar="REC")
+    place: Literal["start", "push", "tag"] = option("--place", "start")
+    tool_tag: int | None = option("--tool-tag", None, metavar="ID", within=(0, None))
+    go: bool = option("--go", False)
 
 
 def drive(

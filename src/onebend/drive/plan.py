@@ -43,56 +43,28 @@ Hand = Literal["hold", "push"]
 class DriveLimits:
     """What a drive keeps within, whatever is asked of it. NaN: from the model and its recordings."""
 
-    force: float = option(
-        "--max-force-N",
-        math.nan,
-        "On the beam; default: 1.2 times the largest force of the recordings.",
-        within=(1e-3, HARDEST),
-    )
-    speed: float = option(
-        "--max-speed-mm-per-s", 0.03, "Of the tool.", within=(1e3 * SLOWEST, 1e3 * FASTEST), scale=1e-3
-    )
-    room: float = option("--room-mm", 0.02, "The tool may be so far from its planned way.", within=(1.0, 200.0))
-    margin: float = option(
-        "--least-margin", 0.1, "From buckling: 1 without a force, 0 where it buckles.", metavar="SHARE",
-        within=(0.02, 0.9),
-    )  # fmt: skip
-    curvature: float = option(
-        "--max-curvature-per-m",
-        math.nan,
-        "Of the beam beyond rest; default: 1.2 times that of the recordings.",
-        within=(1e-3, 1e4),
-    )
-    strain: float = option(
-        "--max-strain-percent",
-        0.3,
-        "At the beam's face, where recording.toml says how thick it is.",
-        within=(0.01, 300.0),
-        scale=1e-2,
-    )
+    force: float = option("--max-force-N", math.nan, within=(1e-3, HARDEST))
+    speed: float = option("--max-speed-mm-per-s", 0.03, within=(1e3 * SLOWEST, 1e3 * FASTEST), scale=1e-3)
+    room: float = option("--room-mm", 0.02, within=(1.0, 200.0))
+    margin: float = option("--least-margin", 0.1, metavar="SHARE", within=(0.02, 0.9))
+    curvature: float = option("--max-curvature-per-m", math.nan, within=(1e-3, 1e4))
+    strain: float = option("--max-strain-percent", 0.3, within=(0.01, 300.0), scale=1e-2)
 
 
 @dataclass(frozen=True)
 class DriveSettings:
     """How a drive is made."""
 
-    hand: Hand = option(
-        "--hand", "push", "push: the tool pushes without turning. hold: it holds the end and turns with it."
-    )
-    by: Skill = option("--by", "pose", "What the robot is asked for: a pose (the force follows from k) or a force.")
-    within: float = option("--within-mm", 3e-4, "A goal is reached when the point stays so near.", within=(0.01, 50.0))
-    stay: float = option("--stay-s", 1.0, "It stays on a goal so long.", within=(0.0, 3600.0))
-    rest: float = option("--rest-s", 3.0, "Of the rests before and after.", within=(0.5, 60.0))
-    longest: float = option("--goal-longest-s", 30.0, "A goal is given up after this.", within=(2.0, 3600.0))
-    k_error: float = option(
-        "--k-error", 0.3, "All of k may be wrong by this share: for the gains, and for what counts as a fault.",
-        metavar="SHARE", within=(0.05, 0.9),
-    )  # fmt: skip
-    delay: float = option("--delay-ms", 0.06, "From exposure to command, until it is measured.", within=(0.0, 300.0))
-    longest_delay: float = option(
-        "--longest-delay-ms", 0.12, "The loop keeps its margins up to here; beyond it stops.", within=(10.0, 390.0)
-    )
-    learn: bool = option("--learn", False, "Learn k(s) while driving, and plan anew from it.")
+    hand: Hand = option("--hand", "push")
+    by: Skill = option("--by", "pose")
+    within: float = option("--within-mm", 3e-4, within=(0.01, 50.0))
+    stay: float = option("--stay-s", 1.0, within=(0.0, 3600.0))
+    rest: float = option("--rest-s", 3.0, within=(0.5, 60.0))
+    longest: float = option("--goal-longest-s", 30.0, within=(2.0, 3600.0))
+    k_error: float = option("--k-error", 0.3, metavar="SHARE", within=(0.05, 0.9))
+    delay: float = option("--delay-ms", 0.06, within=(0.0, 300.0))
+    longest_delay: float = option("--longest-delay-ms", 0.12, within=(10.0, 390.0))
+    learn: bool = option("--learn", False)
     limits: DriveLimits = field(default_factory=DriveLimits)
     rate: float = 125.0  # Hz of the commands
     lag: float = 0.02  # s, of the robot, as guessed

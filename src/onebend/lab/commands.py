@@ -29,24 +29,17 @@ from onebend.recording.folder import read_recording
 from onebend.report.sentences import say, significant, worded
 from onebend.results.model import StoredModel, model_text
 
-Design = Annotated[
-    str,
-    typer.Argument(
-        metavar="DESIGN", help="A named design, a design.toml, or `random`: everything is drawn from the seed."
-    ),
-]
-FilmFolder = Annotated[
-    Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder to make; default: DESIGN-PUSH.")
-]
+Design = Annotated[str, typer.Argument(metavar="DESIGN")]
+FilmFolder = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT")]
 
 
 @dataclass(frozen=True)
 class FilmOptions:
     """What a film shows beside the push."""
 
-    effects: bool = option("--effects", False, "Effects of real benches, drawn at random: stretch, relaxation ...")
-    markers: bool = option("--markers", False, "Tracked markers instead of a film; takes a second. Slow pushes only.")
-    seed: int = option("--seed", 0, "The same seed makes the same files.", metavar="N", within=(0, None))
+    effects: bool = option("--effects", False)
+    markers: bool = option("--markers", False)
+    seed: int = option("--seed", 0, metavar="N", within=(0, None))
 
 
 FILM_FORMAT, DESIGN_FORMAT, TAGS_FORMAT = "onebend-film-1", "onebend-design-1", "onebend-tags-1"
@@ -143,31 +136,23 @@ def bends_table(expected: designs.Expected) -> Table:
     return table
 
 
-DesignName = Annotated[
-    str | None, typer.Argument(metavar="DESIGN", help="uniform, linear, quadratic, cubic, or a design's TOML file.")
-]
-NewDesign = Annotated[
-    Path | None, typer.Option("--new", metavar="FILE", help="Write a design file to fill in, and nothing else.")
-]
-DesignModel = Annotated[
-    Path | None, typer.Option("--model", metavar="FILE", help="Write the designed beam as a model.json.")
-]
-StripOf = Annotated[
-    Path | None, typer.Argument(metavar="[REC]", help="A recording: its tags, and a page with their places.")
-]
-SheetFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="A .pdf, or one .svg per page.")]
-ReplaceFiles = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace files that are there.")]
+DesignName = Annotated[str | None, typer.Argument(metavar="DESIGN")]
+NewDesign = Annotated[Path | None, typer.Option("--new", metavar="FILE")]
+DesignModel = Annotated[Path | None, typer.Option("--model", metavar="FILE")]
+StripOf = Annotated[Path | None, typer.Argument(metavar="[REC]")]
+SheetFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE")]
+ReplaceFiles = Annotated[bool, typer.Option("--force", "--overwrite")]
 
 
 @dataclass(frozen=True)
 class TagOptions:
     """The tags of a sheet, and how it looks."""
 
-    ids: str | None = option("--ids", None, "Such as 0-4 or 0,3,7-9.", metavar="IDS")
-    size: float | None = option("--size-mm", None, "Side of the black square; default: 12.", within=(0.5, common.MOST))
-    family: str | None = option("--family", None, "Default: tag36h11.", metavar="FAMILY")
-    rim: float = option("--rim-cells", 1.0, "White around the black square.", metavar="N", within=(1.0, common.MOST))
-    page: Literal["a4", "letter"] = option("--page", "a4", "Size of the paper.")
+    ids: str | None = option("--ids", None, metavar="IDS")
+    size: float | None = option("--size-mm", None, within=(0.5, common.MOST))
+    family: str | None = option("--family", None, metavar="FAMILY")
+    rim: float = option("--rim-cells", 1.0, metavar="N", within=(1.0, common.MOST))
+    page: Literal["a4", "letter"] = option("--page", "a4")
 
 
 MOST_TAGS = 1000

@@ -48,17 +48,10 @@ FEWEST_FRAMES = 20  # per push
 class Tolerances:
     """One sd each."""
 
-    gain_sd: float = option(
-        "--gain-sd", nan, "sd of the force's scale; default: the sensor's.", metavar="SD", within=(0.0, 0.5)
-    )
-    placement_sd: float = option("--placement-mm", 5e-4, "sd of the tags' places.", within=(1e-3, 1e9))
-    turn_sd: float = option("--turn-deg", TURN_SD, "sd of the tags' turns.", within=(1e-3, 1e9))
-    clock_sd: float = option(
-        "--clock-sd-s",
-        nan,
-        "sd of the clock offset; 0: one clock; default: the offset is found from the data.",
-        within=NOT_NEGATIVE,
-    )
+    gain_sd: float = option("--gain-sd", nan, metavar="SD", within=(0.0, 0.5))
+    placement_sd: float = option("--placement-mm", 5e-4, within=(1e-3, 1e9))
+    turn_sd: float = option("--turn-deg", TURN_SD, within=(1e-3, 1e9))
+    clock_sd: float = option("--clock-sd-s", nan, within=NOT_NEGATIVE)
 
 
 @dataclass(frozen=True)

@@ -185,30 +185,20 @@ SENSORS: dict[str, tuple[ForceSensor, str]] = {  # and the name in recording.tom
 class FilmRequest:
     """A requested film. NaN: the value of the named push or camera."""
 
-    push: PushName = option(
-        "--push",
-        "slow",
-        "slow: at the tip. s08, s06: slow, at s = 0.8, 0.6. fast: the beam swings. free: sudden release.",
-    )
-    at_s: float = option("--push-at", nan, "Place of the push.", metavar="S", within=(0.05, 1.0))
-    force: float = option("--force-N", nan, "Largest force; default: from --bend-deg.", within=POSITIVE)
-    bend: float = option("--bend-deg", radians(65.0), "Largest turn of the pushed place.", within=(1.0, 150.0))
-    direction: float = option("--direction-deg", nan, "Direction of the push against the beam's x axis; default: 100.")
-    seconds: float = option("--seconds", nan, "From first to last contact.", metavar="S", within=(0.05, 600.0))
-    camera: CameraName = option("--camera", "hd", "Camera with its picture size, frame rate, lens and tilt.")
-    fps: float = option("--fps", nan, "Default: the camera's.", metavar="HZ", within=(1.0, 240.0))
-    tilt: float = option("--tilt-deg", nan, "Default: the camera's.", within=(-45.0, 45.0))
-    distance: float = option(
-        "--distance-m", nan, "Distance of the camera; default: the smallest that shows the push.", within=(0.05, 1e9)
-    )
-    sensor: SensorName = option(
-        "--sensor", "franka", "A robot's own estimate, a six-axis sensor, or one without errors."
-    )
-    gravity: float = option(
-        "--gravity-m-s2", 0.0, "In the plane of bending; 0: across it.", metavar="G", within=NOT_NEGATIVE
-    )
-    base_angle: float = option("--base-angle-deg", 0.0, "The beam's x axis in the room; -90: it hangs.")
-    calibrated: bool = option("--uncalibrated", True, "Leave the camera's calibration out of recording.toml.")
+    push: PushName = option("--push", "slow")
+    at_s: float = option("--push-at", nan, metavar="S", within=(0.05, 1.0))
+    force: float = option("--force-N", nan, within=POSITIVE)
+    bend: float = option("--bend-deg", radians(65.0), within=(1.0, 150.0))
+    direction: float = option("--direction-deg", nan)
+    seconds: float = option("--seconds", nan, metavar="S", within=(0.05, 600.0))
+    camera: CameraName = option("--camera", "hd")
+    fps: float = option("--fps", nan, metavar="HZ", within=(1.0, 240.0))
+    tilt: float = option("--tilt-deg", nan, within=(-45.0, 45.0))
+    distance: float = option("--distance-m", nan, within=(0.05, 1e9))
+    sensor: SensorName = option("--sensor", "franka")
+    gravity: float = option("--gravity-m-s2", 0.0, metavar="G", within=NOT_NEGATIVE)
+    base_angle: float = option("--base-angle-deg", 0.0)
+    calibrated: bool = option("--uncalibrated", True)
 
 
 def push_of(request: FilmRequest, beam: Beam) -> PushProfile:

@@ -37,22 +37,10 @@ from onebend.results.provenance import inputs_of
 class SimulatedLoop:
     """Beams, robot and sensor of a simulated loop."""
 
-    k_error: float = option(
-        "--k-error",
-        0.3,
-        "Simulate beams that are softer and stiffer by this share; the gains are chosen for them.",
-        metavar="SHARE",
-        within=(0.0, 0.95),
-    )
-    draws: int | None = option(
-        "--draws",
-        None,
-        "Simulate N beams drawn from the band of k(s) instead.",
-        metavar="N",
-        within=(1, loop_simulation.MOST_DRAWN),
-    )
-    max_force: float = option("--max-force-N", math.inf, "Largest force.", within=POSITIVE)
-    duration: float = option("--duration-s", 8.0, "Duration of each simulation.", within=(2.0, 600.0))
+    k_error: float = option("--k-error", 0.3, metavar="SHARE", within=(0.0, 0.95))
+    draws: int | None = option("--draws", None, metavar="N", within=(1, loop_simulation.MOST_DRAWN))
+    max_force: float = option("--max-force-N", math.inf, within=POSITIVE)
+    duration: float = option("--duration-s", 8.0, within=(2.0, 600.0))
 
 
 def loop(
@@ -137,27 +125,19 @@ def _percent(log_error: float) -> str:
 
 SHARED = Only(("push", "bend", "seconds", "camera", "fps", "tilt", "distance", "sensor"))  # shared by all pushes
 
-Rehearsed = Annotated[
-    str, typer.Argument(metavar="DESIGN", help="A named design, a design.toml, or a learned model.json.")
-]
-RehearsalFolder = Annotated[
-    Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for figure, table and JSON.")
-]
+Rehearsed = Annotated[str, typer.Argument(metavar="DESIGN")]
+RehearsalFolder = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT")]
 
 
 @dataclass(frozen=True)
 class RehearseOptions:
     """The pushes and tags of a rehearsal."""
 
-    tags: str | None = option("--tags", None, "Places of the tags; default: thirds, or the model's.", metavar="S,S,...")
-    at: tuple[float, ...] = option(
-        "--push-at", (), "Place of the push; once per push.", metavar="S", within=(0.05, 1.0)
-    )
-    force: tuple[float, ...] = option("--force-N", (), "Largest force; default: from --bend-deg. One, or one per push.")
-    direction: tuple[float, ...] = option(
-        "--direction-deg", (), "Against the beam's x axis; default: 100. One, or one per push."
-    )
-    count: int = option("--count", 8, "Number of changes to list.", metavar="N", within=(0, None))
+    tags: str | None = option("--tags", None, metavar="S,S,...")
+    at: tuple[float, ...] = option("--push-at", (), metavar="S", within=(0.05, 1.0))
+    force: tuple[float, ...] = option("--force-N", ())
+    direction: tuple[float, ...] = option("--direction-deg", ())
+    count: int = option("--count", 8, metavar="N", within=(0, None))
 
 
 def rehearse(

@@ -234,15 +234,8 @@ _MARGIN = 1.15  # of the force: so far beyond the largest the beam must still st
 class Limits:
     """What the experimenter allows. Angles in radians."""
 
-    force: float | None = option(
-        "--max-force-N", None, "Default: twice the largest so far.", within=POSITIVE
-    )  # before the first push no limit
-    tip_turn: float | None = option(
-        "--max-tip-angle-deg",
-        None,
-        "Default: 90, and at most 1.25 times the largest curvature so far.",
-        within=(1.0, 180.0),
-    )
+    force: float | None = option("--max-force-N", None, within=POSITIVE)  # before the first push no limit
+    tip_turn: float | None = option("--max-tip-angle-deg", None, within=(1.0, 180.0))
     curvature: float = 1.25  # times the largest curvature reached so far
     slant: float = np.deg2rad(75.0)  # between the force and the beam's normal: beyond, the tool slips off
 
@@ -408,7 +401,7 @@ class PlanSettings:
     sizes: tuple[float, ...] = (1.0, 0.6)  # as shares of the largest force that the limits allow
     limits: Limits = field(default_factory=Limits)
     better_sensor: float = 5.0  # times smaller errors of a better force sensor
-    count: int = option("--count", 8, "How many proposals.", metavar="N", within=(1, None))
+    count: int = option("--count", 8, metavar="N", within=(1, None))
     apart: float = 0.15  # in s: nearer pushes with the same needs count as one
 
 

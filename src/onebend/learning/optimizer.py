@@ -27,7 +27,7 @@ from onebend.learning.hyperparameters import (
 from onebend.learning.prediction import Prediction, predict
 from onebend.options import NOT_NEGATIVE, option
 from onebend.progress import Progress, Silent, each
-from onebend.records import CLAMP_SD, Array, BoolArray, Observations, covariance_with_camera, marker_words
+from onebend.records import Array, BoolArray, Observations, covariance_with_camera, marker_words
 
 # Levenberg-Marquardt along curved valleys: trial steps are corrected by chord Newton steps, which need no new
 # derivatives. See Transtrum and Sethna (2012) on the geometry.
@@ -578,13 +578,7 @@ class FitSettings:
     most_frames_together: int = 5000  # of all recordings
     first_frames: int = 24  # of each recording, for the way from the start to near the optimum
     first_recordings: int = 10  # evenly chosen, for the same
-    clamp_sd: float | None = option(
-        "--clamp-sd-deg",
-        None,
-        f"How far the clamp may be turned, one sd, whatever recording.toml says; default: as that says, or "
-        f"{np.degrees(CLAMP_SD):.2g}. It trades off against k.",
-        within=NOT_NEGATIVE,
-    )  # rad
+    clamp_sd: float | None = option("--clamp-sd-deg", None, within=NOT_NEGATIVE)  # rad
     optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
     first_rounds: int = 4  # at most, with the first frames
     last_rounds: int = 6  # at most, with all frames

@@ -270,17 +270,11 @@ class RegressionSettings:
     """How k(s) is learned from states and forces."""
 
     method: Method = "regression"  # "paper": the literal rows of (17), tags' positions only
-    family: Family = option("--family", "gaussians", "The functions that k(s) is made of.")
-    width: float | None = option(
-        "--width",
-        None,
-        "Sigma of the Gaussians as a part of L; default: their distance.",
-        metavar="SIGMA",
-        within=(0.001, 1e9),
-    )
-    bic: Bic = option("--bic", "textbook", "How complexity counts; paper: as its tables follow.")
-    n: int | None = option("--n", None, "Fix the number of curvature modes.", metavar="N")
-    m: int | None = option("--m", None, "Fix the number of stiffness functions.")
+    family: Family = option("--family", "gaussians")
+    width: float | None = option("--width", None, metavar="SIGMA", within=(0.001, 1e9))
+    bic: Bic = option("--bic", "textbook")
+    n: int | None = option("--n", None, metavar="N")
+    m: int | None = option("--m", None)
     most_n: int | None = None  # the paper's z; None: all that the tags can tell, at most 8
 
     @property

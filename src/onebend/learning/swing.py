@@ -52,8 +52,8 @@ _HALF_SWINGS = 4  # that are a swing
 class FilmPart:
     """Which frames to take, on the film's clock [s]; None: from the release found in the data, to the end."""
 
-    begin: float | None = option("--from-s", None, "The beam swings freely from here on in the film; default: found.")
-    end: float | None = option("--to-s", None, "And to here in the film; default: to the end.")
+    begin: float | None = option("--from-s", None)
+    end: float | None = option("--to-s", None)
 
 
 @dataclass(frozen=True)
@@ -517,12 +517,7 @@ _GRID = np.linspace(0.0, 1.0, 41)
 class DampingSettings:
     """How the swing is fitted."""
 
-    mass_along: MassAlong = option(
-        "--mass-along",
-        "even",
-        "How a mass known only as a whole lies along the beam. even; width: as the third root of k, as where only "
-        "the width in the plane of bending varies.",
-    )
+    mass_along: MassAlong = option("--mass-along", "even")
     modes: int = 10  # curvature modes of the beam
     seed: int = 0  # of the draws
 

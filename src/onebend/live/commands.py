@@ -120,30 +120,19 @@ def recording_rows(state: CaptureState) -> list[tuple[str, str]]:
     return rows
 
 
-RecordFolder = Annotated[
-    Path, typer.Argument(metavar="DIR", help="A folder with recording.toml (`onebend new DIR`, or --like).")
-]
+RecordFolder = Annotated[Path, typer.Argument(metavar="DIR")]
 
 
 @dataclass(frozen=True)
 class RecordOptions:
     """Which camera and sensor record, or what is played in their place."""
 
-    camera: str | None = option("--camera", None, "/dev/video0, film:REC (played) ...: docs/record.md.", metavar="SPEC")
-    force: str | None = option(
-        "--force",
-        None,
-        "ati:ADDRESS, serial:/dev/ttyUSB0, ur:HOST, log:REC (played) ...; none: film alone.",
-        metavar="SPEC",
-    )
-    play: Path | None = option(
-        "--play", None, "Play film and log of REC as camera and sensor: to try it without them.", metavar="REC"
-    )
-    like: Path | None = option(
-        "--like", None, "Another push of this recording's beam: begin with its recording.toml.", metavar="REC"
-    )
-    until: str | None = option("--until", None, "Push until k(s) is known to ± this; else once.", metavar="PERCENT")
-    fast: bool = option("--fast", False, "Play the files as fast as they can be read.")
+    camera: str | None = option("--camera", None, metavar="SPEC")
+    force: str | None = option("--force", None, metavar="SPEC")
+    play: Path | None = option("--play", None, metavar="REC")
+    like: Path | None = option("--like", None, metavar="REC")
+    until: str | None = option("--until", None, metavar="PERCENT")
+    fast: bool = option("--fast", False)
 
 
 Capture = Annotated[CaptureSettings, Only(("begin_at_once", "follow", "longest", "crf", "overwrite"))]

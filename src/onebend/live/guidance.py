@@ -40,21 +40,21 @@ class CaptureSettings:
 
     until: float = math.nan  # stop when k(s) is known to this share (half the 95 % band, median); NaN: after one push
     ends: bool = True  # False: it goes on after the last rest, until it is stopped
-    begin_at_once: bool = option("--now", False, "Film at once, whatever is wrong with the picture.")
-    follow: bool = option("--no-learning", True, "Learn no k(s) meanwhile: for slow computers.")
+    begin_at_once: bool = option("--now", False)
+    follow: bool = option("--no-learning", True)
     setup: float = 1.0  # s for which the picture must be good before the film begins; they are in the film
     tare: float = 1.0  # s of the first rest that give the first zero of the force
     rest: float = 3.0  # s of each rest
     least_rest: float = 0.8  # s: a push that begins earlier begins the first rest anew
     share: float = 0.5  # of the beam's length by which the tip should move
-    longest: float = option("--longest-s", 600.0, "The film ends then at the latest.", within=(1.0, 1e5))
-    crf: int = option("--crf", CRF, "Of H.264: less is larger and finer.", metavar="N", within=(0, 40))
+    longest: float = option("--longest-s", 600.0, within=(1.0, 1e5))
+    crf: int = option("--crf", CRF, metavar="N", within=(0, 40))
     flush_every: float = 0.5  # s: rows that a sudden end may lose
     state_every: float = 0.1  # s
     stiffness_every: float = 0.5  # s: reading k(s) takes some time
     least_disk: float = 200e6  # bytes: the film ends before the disk is full
     most_waiting: int = 4  # pictures: where more wait, they are filmed and not followed
-    overwrite: bool = option("--overwrite", False, "Replace film and log of an earlier recording in DIR.")
+    overwrite: bool = option("--overwrite", False)
     live: LiveSettings = field(default_factory=LiveSettings)
     live_beside: bool = True  # as `onebend.live.Live`
 

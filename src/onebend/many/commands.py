@@ -85,26 +85,17 @@ def show_population(console: Console, outcome: population_report.PopulationOutco
     console.print(f"Wrote {output / 'report.html'}", markup=False)
 
 
-Source = Annotated[
-    Path, typer.Argument(metavar="FOLDER|LIST.csv", help="A folder with recordings in it, or a CSV with a column path.")
-]
-Results = Annotated[
-    Path,
-    typer.Option("--output", "-o", metavar="RESULTS", help="Folder for the results; an interrupted run continues."),
-]
+Source = Annotated[Path, typer.Argument(metavar="FOLDER|LIST.csv")]
+Results = Annotated[Path, typer.Option("--output", "-o", metavar="RESULTS")]
 
 
 @dataclass(frozen=True)
 class BatchOptions:
     """Who learns, and what is written."""
 
-    workers: int | None = option(
-        "--workers", None, "Number of processes; default: one per core.", metavar="N", within=(1, None)
-    )
-    scheduler: str | None = option(
-        "--scheduler", None, "Dask cluster that sees these folders under the same paths.", metavar="ADDRESS"
-    )
-    folders: bool = option("--folders", False, "Also write a results folder of each recording, without pictures.")
+    workers: int | None = option("--workers", None, metavar="N", within=(1, None))
+    scheduler: str | None = option("--scheduler", None, metavar="ADDRESS")
+    folders: bool = option("--folders", False)
 
 
 def batch(
@@ -123,8 +114,8 @@ def batch(
     common.answer(as_json, summary, lambda console: show_batch(console, outcome), output)
 
 
-Batch = Annotated[Path, typer.Argument(metavar="RESULTS", help="The results folder of a batch.")]
-PopulationOut = Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for tables and report.")]
+Batch = Annotated[Path, typer.Argument(metavar="RESULTS")]
+PopulationOut = Annotated[Path, typer.Option("--output", "-o", metavar="OUT")]
 
 
 def population(

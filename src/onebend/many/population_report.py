@@ -31,10 +31,8 @@ MOST_COMPARED = 12  # groups up to which all pairs are compared; of more, each w
 
 @dataclass(frozen=True)
 class PopulationSettings:
-    by: str = option("--by", "group", "Column of recordings.parquet with the group.", metavar="COLUMN")
-    same: str | None = option(
-        "--object", None, "Column with the object; default: one object per recording.", metavar="COLUMN"
-    )
+    by: str = option("--by", "group", metavar="COLUMN")
+    same: str | None = option("--object", None, metavar="COLUMN")
 
 
 @dataclass(frozen=True)

@@ -30,15 +30,8 @@ FEWEST_FRAMES = 10  # a guard, as for the force log
 class ObserveSettings:
     """How a recording is read."""
 
-    threads: int | None = option(
-        "--threads", None, "Threads that look for tags; default: all cores.", metavar="N", within=(1, None)
-    )
-    epsilon: float | None = option(
-        "--epsilon-s",
-        None,
-        "Take the log's nearest row, at most this far from a frame (as in the paper); default: interpolate.",
-        within=(0.0, 1e9),
-    )
+    threads: int | None = option("--threads", None, metavar="N", within=(1, None))
+    epsilon: float | None = option("--epsilon-s", None, within=(0.0, 1e9))
     check_force: bool = True  # refuse a force that contradicts the bending
     clock: clock_features.ClockSettings = field(default_factory=clock_features.ClockSettings)
     contact: forces.ContactSettings = field(default_factory=forces.ContactSettings)

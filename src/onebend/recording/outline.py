@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, track
@@ -140,6 +141,10 @@ LOOKED_AT = 40  # pictures, spread evenly, in which an edge must stay
 NOISY = 8  # likewise, of which the noise of a colour is taken
 STEEP = 8  # samples by which a lasting edge may step from station to station
 BEND_COST = 0.04  # of a clear edge: what a step by one sample costs
+UNEQUAL: Array = np.arange(-4, 5) / 10.0  # of half the width, by which the middle between the edges may be off the tags
+UNEQUAL_COST = 2.0  # of a clear edge, over its square
+PAIRED = 3  # samples, by which both edges may be off such a place
+BARRED = 1e3  # of clear edges: what no line takes
 STAYS = 0.4  # of its usual size, at least, that a lasting edge has in one picture
 NEAR = 2.0  # px: one sd of where it is expected there
 _NO_EDGES = "no two edges of a body move with the tags"
@@ -213,25 +218,44 @@ def lasting_edges(seen: Straightened, hidden: BoolArray, pixel_sd: Array) -> tup
     chosen = known[np.unique(np.linspace(0, len(known) - 1, LOOKED_AT).astype(int))]
     at = np.arange(flanks.SAMPLES_ASIDE, seen.colour.shape[-2] - flanks.SAMPLES_ASIDE)
     size = np.median([step_size(seen.colour[one].astype(np.float32), at, pixel_sd) for one in chosen], axis=0)
-    place: IntArray = np.empty(size.shape[:2], dtype=np.int64)
-    for side in range(2):
-        shown = np.where(hidden[:, None], 0.0, size[side])
-        place[side] = best_line(np.minimum(shown / max(float(np.median(shown[~hidden].max(axis=1))), 1.0), 1.5))
+    shown = np.where(hidden[:, None], 0.0, size)
+    usual = np.median(shown[:, ~hidden].max(axis=2), axis=1)[:, None, None]
+    worth = np.minimum(shown / np.maximum(usual, 1.0), 1.0)
+    likely = np.where(about_as_far(worth, at), worth, -BARRED)
+    place = np.stack([best_line(one[:, None])[:, 1] for one in likely])
     return at[place], np.take_along_axis(size, place[..., None], axis=2)[..., 0]
 
 
+def about_as_far(worth: Array, at: IntArray) -> BoolArray:
+    """(2, M, J) whether both edges of one body may be there: near the two lines, about equally far from its middle,
+    whose `worth` (2, M, J) at the samples `at` (J,) is largest together. A thing beside the body has but one edge."""
+    near = maximum_filter1d(worth, 2 * PAIRED + 1, axis=2)
+    sides = [np.rint(at * (1.0 + side * UNEQUAL[:, None])).astype(np.int64) - at[0] for side in flanks.SIDES]
+    inside = np.all([(one >= 0) & (one < len(at)) for one in sides], axis=0)  # (R, J)
+    both = sum(one[:, place.clip(0, len(at) - 1)] for one, place in zip(near, sides, strict=True))
+    line = best_line(np.where(inside, both - UNEQUAL_COST * UNEQUAL[:, None] ** 2, -BARRED))
+    chosen = np.stack([place[line[:, 0], line[:, 1]] for place in sides])
+    return np.asarray(np.abs(np.arange(len(at)) - chosen[..., None]) <= 2 * PAIRED)
+
+
 def best_line(worth: Array) -> IntArray:
-    """(M,) the places in the rows of `worth` (M, J) with the largest sum, steps from row to row paid for (Viterbi)."""
-    best, came = worth[0], np.zeros(worth.shape, dtype=np.int64)
+    """(M, 2) the places in the planes of `worth` (M, R, J) with the largest sum; steps from one to the next are paid
+    for (Viterbi)."""
+    best, came = worth[0], np.zeros((*worth.shape, 2), dtype=np.int8)
     shifts = np.arange(-STEEP, STEEP + 1)
     for row in range(1, len(worth)):
-        padded = np.pad(best, STEEP, constant_values=-np.inf)
-        before = np.lib.stride_tricks.sliding_window_view(padded, len(shifts)) - BEND_COST * np.abs(shifts)
-        came[row] = np.argmax(before, axis=1)
-        best = worth[row] + before.max(axis=1)
-    line = [int(np.argmax(best))]
+        padded = np.pad(best, ((0, 0), (STEEP, STEEP)), constant_values=-np.inf)
+        along = np.lib.stride_tricks.sliding_window_view(padded, len(shifts), axis=1) - BEND_COST * np.abs(shifts)
+        step, best = np.argmax(along, axis=2), along.max(axis=2)
+        padded = np.pad(best, ((1, 1), (0, 0)), constant_values=-np.inf)
+        beside = np.stack([padded[:-2], padded[1:-1] + BEND_COST, padded[2:]])
+        turn = np.argmax(beside, axis=0)
+        best = worth[row] + beside.max(axis=0)
+        before = np.clip(np.arange(len(best))[:, None] + turn - 1, 0, len(best) - 1)
+        came[row, ..., 0], came[row, ..., 1] = turn - 1, shifts[np.take_along_axis(step, before, axis=0)]
+    line = [np.array(np.unravel_index(int(np.argmax(best)), best.shape))]
     for row in range(len(worth) - 1, 0, -1):
-        line.append(line[-1] + int(shifts[came[row, line[-1]]]))
+        line.append(line[-1] + came[row, line[-1][0], line[-1][1]])
     return np.array(line[::-1])
 
 
@@ -486,9 +510,8 @@ def contradicted(both: Markers, rec: entries.Recording) -> str:
         before, after = points[both.s[points] < both.s[tag]], points[both.s[points] > both.s[tag]]
         if not len(before) or not len(after):
             continue
-        away = _from_line(both, tag, before[-1], after[0], rec.beam.length)
-        chord = both.xy[:, after[0]] - both.xy[:, before[-1]]
-        turn = np.angle(np.exp(1j * (np.arctan2(chord[:, 1], chord[:, 0]) - both.angle[:, tag])))
+        away, direction = _from_line(both, tag, before[-1], after[0], rec.beam.length)
+        turn = np.angle(np.exp(1j * (direction - both.angle[:, tag])))
         seen = np.isfinite(away) & np.isfinite(turn)
         if not seen.any():
             continue
@@ -504,8 +527,10 @@ def contradicted(both: Markers, rec: entries.Recording) -> str:
     return ""
 
 
-def _from_line(both: Markers, tag: int, before: int, after: int, length: float) -> Array:
-    """(T,) m of a tag to the left of the curve through two points of the outline with their directions (Hermite)."""
+def _from_line(both: Markers, tag: int, before: int, after: int, length: float) -> tuple[Array, Array]:
+    """(T,) m of a tag to the left of the curve through two points of the outline with their directions (Hermite), and
+    (T,) rad, this curve's direction beside the tag (as of a parabola, which the noise of these directions turns
+    least)."""
     span = float(both.s[after] - both.s[before])
     u = float(both.s[tag] - both.s[before]) / span
     ends = [both.xy[:, before], both.xy[:, after]]
@@ -514,7 +539,8 @@ def _from_line(both: Markers, tag: int, before: int, after: int, length: float) 
     line = (1.0 - rise) * ends[0] + rise * ends[1] + u * (1.0 - u) * ((1.0 - u) * slopes[0] - u * slopes[1])
     chord = ends[1] - ends[0]
     left = left_of(chord) / np.linalg.norm(chord, axis=1)[:, None]
-    return np.asarray(np.sum((both.xy[:, tag] - line) * left, axis=1))
+    direction = np.arctan2(chord[:, 1], chord[:, 0]) + (u - 0.5) * (both.angle[:, after] - both.angle[:, before])
+    return np.asarray(np.sum((both.xy[:, tag] - line) * left, axis=1)), np.asarray(direction)
 
 
 def refuse_lost(middle: Middle, found: OutlineSearch, shown: BoolArray, name: str) -> None:

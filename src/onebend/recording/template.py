@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -25,41 +26,7 @@ if TYPE_CHECKING:
     from onebend.recording.video import FilmFrame
 
 Kind = Literal["video", "ros", "photo", "photos", "weights", "mocap"]
-WHAT: dict[Kind, str] = {
-    "video": "What was filmed",
-    "ros": "What was filmed and logged in a bag",
-    "photo": "What was photographed: the body bent by its own weight, without tags, in a level picture",
-    "photos": "What was photographed: one picture a pose, one of them with no load",
-    "weights": "What was measured by hand: one pose a load, one of them with no load",
-    "mocap": "What was tracked",
-}
-TO_FILL_IN = ""  # what only the experimenter knows: no value is better than one that looks right
-TABLES_OF: dict[Kind, tuple[str, ...]] = {
-    "video": ("video", "force", "push"),
-    "ros": ("video", "force", "push"),
-    "photo": ("photos", "gravity"),
-    "photos": ("photos",),
-    "weights": ("poses", "gravity"),
-    "mocap": ("markers", "force", "push"),
-}
-DEFAULTS = {
-    "video": {"file": '"video.mp4"'},
-    "photos": {"folder": '"photos"', "loads": '"loads.csv"'},
-    "poses": {"file": '"poses.csv"', "loads": '"loads.csv"', "axes": TO_FILL_IN},
-    "gravity": {"direction_deg": "-90.0", "base_angle_deg": TO_FILL_IN},
-    "markers": {"file": '"markers.csv"'},
-    "force": {"file": '"force.csv"', "rotation_deg": TO_FILL_IN, "acts_on": TO_FILL_IN},
-    "push": {"at_s": TO_FILL_IN},
-}
-WEIGHED = {"mass_kg": TO_FILL_IN}
-MORE: Mapping[str, Mapping[str, Mapping[str, str]]] = {
-    "weights": {"beam": WEIGHED},
-    "photos": {"photos": {"axes": TO_FILL_IN}},
-    "photo": {
-        "beam": {**WEIGHED, "mass_along": '"even"', "stiffness_along": '"even"'},
-        "photos": {"clicks": '"clicks.csv"'},
-    },
-}
+TO_FILL_IN = ""  # what only the experimenter knows
 CAMERA = "Optional: the camera's calibration. Without it, the tags' known size gives the scale."
 GRAVITY = "Optional: only where the beam's weight acts in the plane it bends in (not for a beam lying on its side)."
 FREQUENCIES = "Optional: how fast it swings, clamped as here; one such table for each frequency."
@@ -214,11 +181,8 @@ def _rows(path: Path) -> Iterator[list[str]]:
 def template(kind: Kind = "video", found: FoundInFiles = FoundInFiles(), *, everything: bool = False) -> str:
     """The text of the template: it keeps the schema once what is empty is filled in."""
     camera = kind in ("video", "ros", "photos")
-    more = MORE.get(kind, {})
-    values = {
-        name: {**DEFAULTS.get(name, {}), **more.get(name, {}), **found.values.get(name, {})} for name in TABLES_OF[kind]
-    }
-    beam = {"length_m": TO_FILL_IN, **more.get("beam", {})}
+    kinds = tomllib.loads(Path(__file__).with_name("templates.toml").read_text(encoding="utf-8"))
+    values = {name: {**own, **found.values.get(name, {})} for name, own in kinds[kind]["tables"].items()}
     tags = {**({"size_m": TO_FILL_IN} if camera else {}), **found.values.get("tags", {})}
     places = [{"id": str(one), "s": TO_FILL_IN} for one in found.beam or ((1, 2, 3) if kind == "weights" else ())]
     places = [] if kind == "photo" or found.bare else places or [{"id": TO_FILL_IN, "s": TO_FILL_IN}] * 3
@@ -228,10 +192,10 @@ def template(kind: Kind = "video", found: FoundInFiles = FoundInFiles(), *, ever
         return table_of(header, record, values, everything=everything)
 
     parts = [
-        f"# {WHAT[kind]}, for onebend. Fill in what is empty. Units are in the names.",
+        f"# {kinds[kind]['what']}, for onebend. Fill in what is empty. Units are in the names.",
         *(f"# {note}" for note in found.notes),
         f"\nformat = {FORMAT}\n",
-        table("[beam]", entries.BeamEntry, beam),
+        table("[beam]", entries.BeamEntry, kinds[kind]["beam"]),
         *([table("[tags]", entries.TagsEntry, tags)] if everything or camera else []),
         *([table("[[tags.on_base]]", entries.TagEntry, {"id": str(*found.base)})] if camera else []),
         *(table(listed, entries.TagEntry, one) for one in places),

@@ -11,9 +11,9 @@ import typer
 from onebend.cli.common import clean_errors, say
 from onebend.extras import require
 
-Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder with your recordings and results.")]
-Port = Annotated[int, typer.Option(min=0, max=65535, metavar="N", help="Port on 127.0.0.1; default: a free one.")]
-NoOpen = Annotated[bool, typer.Option("--no-open", help="Print the address only.")]
+Folder = Annotated[Path, typer.Argument(metavar="DIR")]
+Port = Annotated[int, typer.Option(min=0, max=65535, metavar="N")]
+NoOpen = Annotated[bool, typer.Option("--no-open")]
 
 NEEDED = ("starlette", "uvicorn", "websockets")
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc, chdtri
 
 from onebend.beam.grid import apply
 from onebend.gauss_newton import Linearised, MostProbable, SearchLimits, most_probable
@@ -384,7 +384,7 @@ class Misfit:
     @property
     def probability(self) -> float:
         """Of residuals as large or larger, were all as stated."""
-        return float(chi2.sf(self.chi2, self.freedom)) if self.freedom > 0 else float("nan")
+        return float(chdtrc(self.freedom, self.chi2)) if self.freedom > 0 else float("nan")
 
 
 def rested(bench: Bench) -> Bench:
@@ -485,12 +485,12 @@ class _Joint(FrameModel):
 # The forces of all frames of a recording: some frames together first, which tell what all share, then the others.
 
 LEVEL = 0.95
-TOUCH = float(chi2.ppf(LEVEL, 2))
+TOUCH = float(chdtri(2, 1.0 - LEVEL))
 _FEW = 24  # frames that are taken together: so far apart that the tags' errors are each one's own
 MOVED = 0.2  # of the largest displacement of the tags: frames that move less tell the bench nothing
 _ODD = 5.0  # times the usual squared residual: such a frame has a wrong tag, and tells the bench nothing either
 _SCAN = np.linspace(0.2, 1.0, 9)  # places where the search for the contact begins
-_AS_WELL = float(chi2.ppf(LEVEL, 1))  # of the objective: two places explain a frame about as well
+_AS_WELL = float(chdtri(1, 1.0 - LEVEL))  # of the objective: two places explain a frame about as well
 _APART = 0.1  # of the beam: closer places are one
 
 
@@ -535,7 +535,7 @@ def touches(found: Estimates) -> BoolArray:
     known: BoolArray = np.asarray(np.isfinite(found.force).all(axis=1))
     out: BoolArray = np.zeros(len(known), dtype=np.bool_)
     solved = np.linalg.solve(found.covariance[known, :n, :n], found.force[known][..., None])[..., 0]
-    out[known] = np.einsum("tc,tc->t", found.force[known], solved) > chi2.ppf(LEVEL, n)
+    out[known] = np.einsum("tc,tc->t", found.force[known], solved) > chdtri(n, 1.0 - LEVEL)
     return out
 
 

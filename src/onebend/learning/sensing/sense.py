@@ -35,28 +35,13 @@ FROM_PRIOR = 0.25  # share of a variance left by the data from which it is said
 class SenseSettings:
     """What is known of the contact, and of forces before any shape was seen."""
 
-    place: Literal["known", "unknown"] = option(
-        "--place",
-        "known",
-        "known: the force acts where the recording or --push-at says. unknown: it is sought.",
-    )
-    at_s: float | None = option(
-        "--push-at", None, "Where the force acts; default: as written.", metavar="S", within=(1e-6, 1.0)
-    )
-    at_sd: float | None = option("--push-sd-m", None, "One sd of that place; default: as written.", within=NOT_NEGATIVE)
-    force_prior: float | None = option(
-        "--force-prior-N",
-        None,
-        "One sd of each component of the force before any shape is seen; default: three times k/L.",
-        within=POSITIVE,
-    )
-    tags: Literal["learned", "anew"] = option(
-        "--tags", "learned", "learned: they sit where they did. anew: they were put on again."
-    )
-    moment: bool = option("--moment", False, "The contact transmits a moment besides, as a gripper does.")
-    moment_prior: float | None = option(
-        "--moment-prior-Nm", None, "One sd of the moment before; default: the force's times L.", within=POSITIVE
-    )
+    place: Literal["known", "unknown"] = option("--place", "known")
+    at_s: float | None = option("--push-at", None, metavar="S", within=(1e-6, 1.0))
+    at_sd: float | None = option("--push-sd-m", None, within=NOT_NEGATIVE)
+    force_prior: float | None = option("--force-prior-N", None, within=POSITIVE)
+    tags: Literal["learned", "anew"] = option("--tags", "learned")
+    moment: bool = option("--moment", False)
+    moment_prior: float | None = option("--moment-prior-Nm", None, within=POSITIVE)
 
 
 def check_settings(settings: SenseSettings, length: float) -> None:
