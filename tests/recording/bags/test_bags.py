@@ -201,6 +201,11 @@ def test_a_journal_beside_a_database_is_not_overlooked(tmp_path: Path) -> None:
         open_bag(folder)
 
 
+def test_a_bag_is_read_from_a_folder_of_any_name(tmp_path: Path) -> None:
+    folder = bagged.write_db3(tmp_path / "50 % #1?", LOG)
+    assert np.array_equal(read_bag_force(force_of(folder)).force, LOG.force[:, :2])
+
+
 def test_other_files_are_refused(tmp_path: Path) -> None:
     for name in ("run.mcap", "run.bag", "run.db3"):
         (tmp_path / name).write_bytes(b"no bag at all, whatever its name")
