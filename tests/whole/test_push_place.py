@@ -38,6 +38,7 @@ from tests.learning.bench import IDEAL, SOFT, forces, observed
 from tests.made_up import with_source
 
 NOISE = (2e-5, 1e-3)
+EXACT = 1e-4  # of the length: sd of a written place that leaves out next to nothing around it
 SETTINGS = replace(IDEAL, functions=16)
 
 
@@ -89,7 +90,7 @@ def opened(one: Posterior, log_evidence: float) -> PlaceSearch:
 
 
 def as_posterior(s: Array, gain: Array, written: float) -> dict[str, Any]:
-    return dict(zip(("places", "weight", "mistaken"), place_posterior(s, gain, written), strict=True))
+    return dict(zip(("places", "weight", "mistaken"), place_posterior(s, gain, written, EXACT), strict=True))
 
 
 def test_a_band_widens_steadily_with_the_probability_of_a_mistake() -> None:
@@ -141,7 +142,7 @@ def test_an_error_of_the_place_is_ruled_out_where_the_tags_tell_the_place(writte
     s = written + np.array([-0.3, -0.2, -0.15, -0.1, -0.075, -0.05, -0.025, 0.025, 0.05, 0.075, 0.1, 0.15, 0.2, 0.3])
     s = s[s < 1.0 + 1e-9]
     for told, expected in ((0.015, False), (0.06, True)):
-        places, weight, mistaken = place_posterior(s, -0.5 * ((s - written) / told) ** 2, written)
+        places, weight, mistaken = place_posterior(s, -0.5 * ((s - written) / told) ** 2, written, EXACT)
         even = np.sqrt(2.0 * np.pi) * told / (1.0 - INNERMOST) * 0.5  # half of it beyond the tip, or half for the tip
         assert mistaken == pytest.approx(even / (1.0 + even), rel=0.05 if told > 0.05 else 0.2)
         assert (mistaken > LEFT_OUT) is expected
@@ -152,14 +153,29 @@ def test_an_error_of_the_place_is_ruled_out_where_the_tags_tell_the_place(writte
 
 def test_where_nothing_tells_every_place_is_as_likely_and_the_tip_as_all_others() -> None:
     s = np.array([INNERMOST, 0.6, 0.8, 1.0])
-    places, weight, mistaken = place_posterior(s, np.zeros(4), 0.9)
-    assert mistaken == pytest.approx(0.5)
-    assert place_posterior(s, np.zeros(4), 0.9, MEASURED)[2] == pytest.approx(MEASURED)
+    places, weight, mistaken = place_posterior(s, np.zeros(4), 0.9, EXACT)
+    assert mistaken == pytest.approx(0.5, rel=0.01)
+    assert place_posterior(s, np.zeros(4), 0.9, EXACT, MEASURED)[2] == pytest.approx(MEASURED, rel=0.01)
     assert weight[-1] == pytest.approx(0.5, abs=0.01)
-    assert np.allclose(weight[1:-1], weight[1])
-    _, weight, mistaken = place_posterior(s, np.array([-20.0, -20.0, 7.0, -20.0]), 0.9)
+    assert np.allclose(weight[1:-1][~np.isclose(places[1:-1], 0.9)], weight[1])  # the written one is no mistake
+    _, weight, mistaken = place_posterior(s, np.array([-20.0, -20.0, 7.0, -20.0]), 0.9, EXACT)
     assert mistaken > 0.9
     assert np.sum(weight[(places > 0.7) & (places < 0.9)]) > 0.9
+
+
+def test_a_place_that_the_tolerance_explains_is_no_mistake() -> None:
+    """Told to within 0.04 of the length, not much worse than it was written: the fit itself allows for that."""
+    s = 1.0 - np.array([0.05, 0.1, 0.2, 0.3])
+    gain = -0.5 * ((1.0 - s) / 0.04) ** 2
+    mistaken = {sd: place_posterior(s, gain, 1.0, sd)[2] for sd in (EXACT, 0.0167)}
+    assert mistaken[EXACT] > LEFT_OUT > mistaken[0.0167]
+    sd = 0.0167
+    places, weight, _ = place_posterior(s, np.zeros(4), 1.0, sd)
+    as_written = 1.0 - np.min(places[weight == 0.0])
+    density = np.exp(-0.5 * (as_written / sd) ** 2) / np.sqrt(2.0 * np.pi) / sd
+    assert density * (1.0 - INNERMOST) == pytest.approx(1.0, rel=0.5)
+    assert np.all(weight[places < 1.0 - as_written] > 0.0)
+    assert place_posterior(s[:1], gain[:1], 1.0, 0.1)[2] < 1e-100  # nothing tried is beyond it
 
 
 def test_the_likely_places_hold_their_share() -> None:
@@ -219,7 +235,7 @@ def test_places_are_compared_under_one_noise() -> None:
 def test_the_evidence_of_a_mistake_is_averaged_over_the_places_it_may_have_led_to(before: float) -> None:
     s = np.linspace(INNERMOST, 0.99, 70)
     gain = np.where(np.abs(s - 0.6) < 0.0501, 12.0, -30.0)  # at a seventh of the places
-    _, weight, mistaken = place_posterior(s, gain, 1.0, before)
+    _, weight, mistaken = place_posterior(s, gain, 1.0, EXACT, before)
     assert gain_of_mistake(weight, mistaken, before) == pytest.approx(12.0 - np.log(7.0), abs=0.1)
     assert gain_of_mistake(weight[:1], mistaken, before) < -20.0
 

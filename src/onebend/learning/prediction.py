@@ -286,19 +286,19 @@ class State:
         """The sum of the allowances that enter here; 0 where there are none. Shapes: see `Entry`."""
         return allowed(self.data.allowances, enters, self.value)
 
-    @property
+    @cached_property
     def length(self) -> Array:
         """() m, the beam's length."""
         change = [self.value(a.name)[0] for a in self.data.entering("length")]
         return np.asarray(self.data.observations.length * np.exp(sum(change)))
 
-    @property
+    @cached_property
     def clamp(self) -> Array:
         """() or (F, 1) rad, the clamp's angle."""
         angle, gives = self.data.problem.alpha0 + self.value("clamp")[0], self.allowed("clamp")
         return np.asarray(angle if isinstance(gives, float) else angle + gives[:, None])
 
-    @property
+    @cached_property
     def section(self) -> tuple[RectangularSection | None, float]:
         """The section by which the beam stretches and shears, or None, and its derivative: see `section_at`."""
         o = self.data.observations
@@ -306,24 +306,24 @@ class State:
             return effects.section_at(float(self.value(a.name)[0]), o.stated.thickness, o.length)
         return self.data.problem.section, 0.0
 
-    @property
+    @cached_property
     def log_axes(self) -> Array:
         """(2, 2) rotation of the logged force."""
         return log_axes(self.value("direction"))
 
-    @property
+    @cached_property
     def push_beyond(self) -> Array:
         """(F, Q) share of the push that acts beyond the node."""
         place = self.value("place") + self.allowed("place")  # (1,) or (F,) m
         return np.asarray(self.data.beyond + place[:, None] * self.data.farther)
 
-    @property
+    @cached_property
     def rest(self) -> Array:
         """(Q,) or (F, Q) rad, curvature at rest of a beam that has not relaxed."""
         states = self.value("curvature") + self.value("rest change")
         return np.asarray(self.data.problem.q0 + self.data.rest_on_nodes @ states)
 
-    @property
+    @cached_property
     def relaxation(self) -> tuple[Array, Array] | None:
         """(n,) shares of the material that relax, and (T,) s of the frames; None where nothing is allowed to relax."""
         return next(((self.value(a.name), a.basis) for a in self.data.entering("relaxation")), None)

@@ -160,7 +160,6 @@ _STEPS = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7])  # of the length, a
 _WORSE = -2.0  # gain of log evidence at the first of them: below it on both sides a mistake is unlikely
 _FINE = 0.005  # of the length, between places that are told apart
 _HOPELESS = 12.0  # of the log evidence, below the best place: places beyond are worse still
-_TOLERANCES = 4.0  # sds of the written place within which another one is as written
 
 
 @dataclass(frozen=True)
@@ -245,9 +244,8 @@ def search_place(
     gain = np.array([one.log_evidence for one in found]) - here.log_evidence
     away = np.stack([_away(problem, here, one, length) for one in found])
     before = MEASURED if block.prior_sd[0] < 0.999 * PLACE_SD else BY_HAND
-    everywhere, weight, mistaken = place_posterior(s, gain, written, before)
-    far = np.abs(everywhere - written) * length > _TOLERANCES * block.prior_sd[0]
-    accused = gain_of_mistake(weight[far], mistaken, before) > ACCUSED
+    everywhere, weight, mistaken = place_posterior(s, gain, written, block.prior_sd[0] / length, before)
+    accused = gain_of_mistake(weight, mistaken, before) > ACCUSED
     return PlaceSearch(written, s, gain, away, everywhere, weight, mistaken, accused)
 
 
@@ -323,10 +321,13 @@ def _outwards(here: AtPlace, side: float, settings: optimizer.FitSettings) -> It
         last = tried
 
 
-def place_posterior(s: Array, gain: Array, written: float, before: float = BY_HAND) -> tuple[Array, Array, float]:
+def place_posterior(
+    s: Array, gain: Array, written: float, sd: float, before: float = BY_HAND
+) -> tuple[Array, Array, float]:
     """Places (f,), their probabilities (f,) if the written one is wrong, and the probability that it is.
 
-    `gain` (n,) of log evidence at places s (n,); `before`: prior probability of a mistake.
+    `gain` (n,) of log evidence at places s (n,); `before`: prior probability of a mistake. Where the tolerance of the
+    written place, of this `sd`, is the likelier reason to be off, there is no mistake: the fit allows for it.
     """
     known, order = np.append(s, written), np.argsort(np.append(s, written))
     inner, outer = float(np.min(known)), float(np.max(known))
@@ -337,9 +338,11 @@ def place_posterior(s: Array, gain: Array, written: float, before: float = BY_HA
     if written < 1.0 - 0.5 * _STEPS[0]:
         share *= 1.0 - AT_TIP
         share[-1] += AT_TIP * (outer > 1.0 - 1e-9)
+    tolerance = np.exp(-0.5 * ((places - written) / sd) ** 2) / (np.sqrt(2.0 * np.pi) * sd)
+    share[(1.0 - before) * tolerance > before / (1.0 - INNERMOST)] = 0.0
     most = max(float(np.max(gains)), 0.0)
     evidence = share * np.exp(gains - most)
-    of_mistake = float(np.sum(evidence))
+    of_mistake = max(float(np.sum(evidence)), np.finfo(float).tiny)
     return places, evidence / of_mistake, of_mistake / (of_mistake + float(np.exp(-most)) * (1.0 - before) / before)
 
 

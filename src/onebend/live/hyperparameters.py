@@ -28,7 +28,6 @@ class OnlineSettings:
 
     functions: int = 45  # of the spline of log k
     key_frames: int = 30
-    renewed: int = 5  # key frames linearised anew with every other update; one with those between
     # one sd of `STATED_ERRORS` by name, else as usual; no "clock": camera and force log share one; no "scale": the
     # camera is calibrated
     sds: Mapping[str, float] = field(default_factory=dict)
@@ -62,7 +61,7 @@ class OnlineSettings:
         if not self.allowances <= LIVE_ALLOWANCES:
             other = ", ".join(sorted(self.allowances - LIVE_ALLOWANCES))
             raise LearningError(f"the live learner has no allowance for: {other}")
-        for name, least in (("functions", 5), ("key_frames", 5), ("renewed", 1), ("patience", 1)):
+        for name, least in (("functions", 5), ("key_frames", 5), ("patience", 1)):
             if getattr(self, name) < least:
                 raise LearningError(f"{name} must be at least {least}, got {getattr(self, name)}")
 

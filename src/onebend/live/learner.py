@@ -1,8 +1,8 @@
 """k(s) while the beam is being pushed: the posterior of the marker-space fit, renewed with every frame.
 
-A bounded set of key frames stands for all frames so far (`key_frames.py`). Each update linearises a few of them anew
-and solves for the posterior over all of them (`smoother.py`, `posterior.py`), so a poor start is forgotten. Memory and
-time per update do not grow.
+A bounded set of key frames stands for all frames so far (`key_frames.py`). Every other update solves for the posterior
+over all of them (`smoother.py`, `posterior.py`). Where the estimate has moved, they are linearised anew, all at one
+point, so a poor start is forgotten. Memory and time per update do not grow.
 """
 
 from __future__ import annotations

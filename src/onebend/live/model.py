@@ -229,10 +229,6 @@ class Lineariser:
         """Take note of the place of the push."""
         self._pushed = nearest_grid_place(push_s)
 
-    def near(self, keys: KeyFrames, chosen: list[int], i: int) -> list[int]:
-        """The chosen key frames on the same grid as key frame i; where there are none, the first chosen one."""
-        return [k for k in chosen if self._grid_of(keys, k) == self._grid_of(keys, i)] or chosen[:1]
-
     def renew(self, keys: KeyFrames, chosen: list[int], point: Array) -> set[int]:
         """Linearise key frames at parameters `point` (n,); returns those with an equilibrium there. The others stay."""
         solved: set[int] = set()

@@ -171,15 +171,6 @@ class KeyFramePosterior:
         white = solved_lower(others.factor, others.root.transposed_times(rows[:, known:].T))
         return white.T @ white + self.solved.spread(rows[:, :known] - white.T @ others.across)
 
-    def distance(self, error: Array, x: Array) -> float:
-        """Distance in posterior sd from a point whose last K force errors are `error` (K, 2) and whose parameters are
-        `x` (n,) away."""
-        p, e, before = self.count, np.zeros_like(self.e), self.solved.before
-        e[len(e) - len(error) :] = self.e[len(e) - len(error) :] - error
-        few = np.concatenate([x[:p], e.ravel()])
-        away, z = np.append(few, x[p:]), np.append(before.whiten(before.mean + few), x[p:] / self.model.other_sd)
-        return float(np.sqrt(z @ z + max(away @ self.model.form.matrix @ away, 0.0)))
-
     def likelier(self, start: linear.Hyperparameters, stride: float) -> linear.Hyperparameters:
         """The hyperparameters `start` with sizes of the force's error of more evidence, at most `stride` sd away: one
         step of Fisher's scoring."""

@@ -57,7 +57,7 @@ def start_of(layout: Layout, start: Profile | float | UncertainStiffness) -> Sta
 _LAST = 2.0  # posterior sd of log k, RMS: a larger step is not the last
 _SETTLED = 2  # solutions in a row without such a step: one may end a step short by chance
 _MOST = 0.5  # of the tags: as many are not where they are expected because the estimate is wrong
-_MOVED = 0.5  # posterior sd: a larger distance from the linearisation point moves that point
+_MOVED = 0.3  # likewise: a larger step moves the linearisation point
 _MANY = 6  # key frames linearised with one frame: after more, nothing else is done in that update
 _STRIDE, _LAST_LOOKS = 0.05, 10  # sd, of the sizes of the force's error in one look for better ones; after a push
 _WHITE_SPREAD = 0.7  # sd of the log of the force error's white part
@@ -117,7 +117,7 @@ class Smoother:
     def enter(self, frame: CheckedFrame, rate: Array) -> bool:
         """Add the frame as the last key frame, linearised; False where it has no equilibrium and is left out.
 
-        Also linearise the stale key frames that have waited longest, and average or marginalise others to make room.
+        Also linearise all others where the linearisation point has moved, and average or marginalise to make room.
         """
         keys = self.keys
         self._stages.add_frame(frame.time, frame.measured[:, :2], frame.visible, frame.loaded)
@@ -127,13 +127,9 @@ class Smoother:
         fresh = [i]
         for slot, pair in enumerate(pairs, keys.used):
             key_frames.propose_average(keys, pair, slot)
-            fresh += [slot, *(k for k in (pair, pair + 1) if keys.stale[k])]
-        if keys.stale[0] and 0 not in fresh and keys.used - len(pairs) > self._settings.key_frames + 1:
-            fresh.append(0)  # it is marginalised next, with the linearisation that it has then
-        room = 1 if self.pending else self._settings.renewed - len(fresh) + 1
-        room = i if self._unsettled else max(room, 0)
-        waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][:room]
-        solved = self._linearise([*fresh, *self._lineariser.near(keys, waiting, i)])
+            fresh.append(slot)
+        fresh += np.flatnonzero(keys.stale[:i]).tolist()
+        solved = self._linearise(fresh)
         self._too_soft = i not in solved
         if self._too_soft:
             keys.used -= 1
@@ -244,15 +240,15 @@ class Smoother:
         self._failed = False
         self.x, fresh = self._within_reach(solution.x), not np.any(keys.stale[: keys.used])
         step = (solution.x - self.point)[: solution.count]
-        last = np.mean(step**2 / np.diag(solution.solved.of_shared)) < _LAST**2
-        self._unsettled = max(self._unsettled - fresh, 0) if last else _SETTLED
+        size = np.mean(step**2 / np.diag(solution.solved.of_shared))
+        self._unsettled = max(self._unsettled - fresh, 0) if size < _LAST**2 else _SETTLED
         residual = residuals.tag_residuals(keys, solution)
         if settings.adapt:
             marker = residuals.tag_noise_size(keys, residual, self._spent, settings.marker_noise)
             noise = replace(self.hyperparameters.noise[0], marker=marker)
             self.hyperparameters = replace(self.hyperparameters, noise=(noise,))
         keys.weight[: keys.used] = residuals.robust_weights(keys, residual, self.noise, settings.bulk)
-        if fresh and solution.distance(keys.error[: keys.used], self.x - self.point) > _MOVED:
+        if fresh and size > _MOVED**2:
             self.move()
         return True
 
