@@ -22,6 +22,7 @@ from starlette.testclient import TestClient
 
 from onebend.report.overview import overview
 from onebend.studio.places import StudioFolder
+from onebend.studio.recorder import WIDEST
 from onebend.studio.server import application
 from tests.studio.conftest import HOME, PORT, TOKEN, own
 
@@ -78,7 +79,7 @@ def test_two_tabs_see_one_recording_and_its_check(lab: Path) -> None:
             begun = until(client, lambda found: found["state"].get("frames", 0) > 40)
             picture = client.get("/api/record/picture", params={"n": begun["picture"]})
             assert picture.headers["content-type"] == "image/jpeg"
-            assert Image.open(io.BytesIO(picture.content)).width == begun["state"]["size_px"][0] // 2
+            assert Image.open(io.BytesIO(picture.content)).width == min(WIDEST, begun["state"]["size_px"][0])
             client.post("/api/record/stop", json={}, headers=own())
             done = until(client, lambda found: found["phase"] == "done")
             last = []
