@@ -57,7 +57,7 @@ def start_of(layout: Layout, start: Profile | float | UncertainStiffness) -> Sta
 _LAST = 2.0  # posterior sd of log k, RMS: a larger step is not the last
 _SETTLED = 2  # solutions in a row without such a step: one may end a step short by chance
 _MOST = 0.5  # of the tags: as many are not where they are expected because the estimate is wrong
-_MOVED = 0.3  # likewise: a larger step moves the linearisation point
+_MOVED = 0.3  # posterior sd of log k, RMS: a larger step moves the linearisation point
 _MANY = 6  # key frames linearised with one frame: after more, nothing else is done in that update
 _STRIDE, _LAST_LOOKS = 0.05, 10  # sd, of the sizes of the force's error in one look for better ones; after a push
 _WHITE_SPREAD = 0.7  # sd of the log of the force error's white part

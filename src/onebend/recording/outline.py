@@ -140,7 +140,7 @@ FINEST = 300  # samples of a profile, at most
 LOOKED_AT = 40  # pictures, spread evenly, in which an edge must stay
 NOISY = 8  # likewise, of which the noise of a colour is taken
 STEEP = 8  # samples by which a lasting edge may step from station to station
-BEND_COST = 0.04  # of a clear edge: what a step by one sample costs
+BEND_COST = 0.04  # of a clear edge: what a step by one sample, or to the next of `UNEQUAL`, costs
 UNEQUAL: Array = np.arange(-4, 5) / 10.0  # of half the width, by which the middle between the edges may be off the tags
 UNEQUAL_COST = 2.0  # of a clear edge, over its square
 PAIRED = 3  # samples, by which both edges may be off such a place
@@ -210,8 +210,9 @@ def straightened(sights: Iterable[flanks.Sight], stations: flanks.Stations, stat
 
 
 def lasting_edges(seen: Straightened, hidden: BoolArray, pixel_sd: Array) -> tuple[IntArray, Array]:
-    """(2, M) the sample at which each side's edge stays in all pictures: the line along the body whose steps of colour
-    are the largest; and their size, in sds of a colour. Raises `ObservationError` where nothing of the body is seen."""
+    """(2, M) the sample at which each side's edge stays in all pictures: the two lines along the body whose steps of
+    colour are the largest together; and their size, in sds of a colour. Raises `ObservationError` where nothing of the
+    body is seen."""
     known = np.flatnonzero(np.isfinite(seen.state[:, 0]))
     if hidden.all() or not len(known) or seen.colour.shape[3] <= 4 * flanks.SAMPLES_ASIDE:
         raise ObservationError(_NO_EDGES, about="outline")
@@ -248,7 +249,7 @@ def best_line(worth: Array) -> IntArray:
         along = np.lib.stride_tricks.sliding_window_view(padded, len(shifts), axis=1) - BEND_COST * np.abs(shifts)
         step, best = np.argmax(along, axis=2), along.max(axis=2)
         padded = np.pad(best, ((1, 1), (0, 0)), constant_values=-np.inf)
-        beside = np.stack([padded[:-2], padded[1:-1] + BEND_COST, padded[2:]])
+        beside = np.stack([padded[:-2] - BEND_COST, padded[1:-1], padded[2:] - BEND_COST])
         turn = np.argmax(beside, axis=0)
         best = worth[row] + beside.max(axis=0)
         before = np.clip(np.arange(len(best))[:, None] + turn - 1, 0, len(best) - 1)
