@@ -65,7 +65,7 @@ def contradictions(
 ) -> tuple[Contradiction, ...]:
     """All of a fit, the largest first; `known`: k(s) with its band."""
     sd = _typical_sd(known)
-    striking = critic.causes[:1] or critic.alarms  # the likeliest cause, freed; without one the trends that stand out
+    striking = critic.causes or critic.alarms  # causes about as likely, freed; without one the trends that stand out
     found = {
         _named(critic): max((one.sds for one in striking), default=0.0),
         "the force log": 0.0 if _explained(critic) else _of_the_log(problem, optimum) / sd,

@@ -378,7 +378,7 @@ def appearance(sight: Sight, curve: Curve, half: Array, part: BoolArray, step: f
     least = max(1.0, STEP_SHARE * step)  # of 255: no encoder keeps less
     near = SIDES[:, None] * (half[part] * scale - SIDE)  # (2, m) px
     inside = sight.planes.at(sight.pixels(curve.xy[part]) + near[..., None] * normal)
-    rim = nan_median(inside - nan_median(colour, axis=1), axis=1)
+    rim = nan_median(inside - np.median(colour, axis=1), axis=1)
     rim[~(np.linalg.norm(rim, axis=1) < RIM_SHARE * step)] = 0.0
     return Look(np.maximum(spread, least), rim[:, None], np.maximum(pixel, 1.0))
 
