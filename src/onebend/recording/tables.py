@@ -112,8 +112,8 @@ def _csv(path: Path, once: Sequence[str] = ()) -> tuple[dict[str, list[str]], In
     for line, row in zip(lines[1:], rows[1:], strict=True):
         if len(row) > len(header) and any(cell.strip() for cell in row[len(header) :]):
             raise RecordingError(
-                f"{path}, line {line}: {len(row)} cells, but the header names {len(header)} columns. Write decimals with "
-                "a point, and a name above each column."
+                f"{path}, line {line}: {len(row)} cells, but the header names {len(header)} columns. Write decimals "
+                "with a point, and a name above each column."
             )
     twice = [name for name in once if header.count(name) > 1]
     if twice:
