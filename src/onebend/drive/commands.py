@@ -187,7 +187,7 @@ def _answer(outcome: DriveOutcome, *, data_alone: bool) -> None:
             word = "not reached" if not one.reached else "passed in time" if passed else "reached"
             said = "" if passed else f" (said: to {1e3 * one.said:.2g} mm)"
             common.say(f"({x:.4g}, {y:.4g}) mm: {word}, seen {off:.2g} mm off{said}")
-        if pauses := made.lateness.pauses:
+        if pauses := made.pauses:
             common.say(
                 f"It paused {len(pauses)} times, {sum(pauses):.1f} s in all: pictures, answers or turns of the loop "
                 "were late. On a busy computer end other programs, or see docs/drive.md on real-time scheduling."
