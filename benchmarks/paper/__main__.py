@@ -10,6 +10,7 @@ from rich.console import Console
 
 from benchmarks.paper import report, study
 from onebend.cli import common
+from onebend.crash import clean_errors
 from onebend.files.publish import this_onebend, write_summary
 from onebend.options import expanded
 from onebend.report.sentences import UNKNOWN, millimetres
@@ -50,7 +51,7 @@ def reproduce(
     quiet: common.Quiet = False,
 ) -> None:
     """Repeat the paper's experiments: films of three beams, tables, figures and tasks in one report."""
-    with common.clean_errors(), common.progress_of(quiet) as progress:
+    with clean_errors(), common.progress_of(quiet) as progress:
         found = study.reproduce(output, setting, written_by=this_onebend(), processes=processes or 0, progress=progress)
         pictures = report.draw_figures(found, progress=progress)
         common.say_failed(pictures.failed)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -30,7 +30,7 @@ from rich.table import Table
 from rich.text import Text
 
 from onebend.cli import GIVEN
-from onebend.errors import OnebendError, RecordingError, reference
+from onebend.errors import RecordingError, reference
 from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish, unplaced, write_summary
 from onebend.options import POSITIVE
 from onebend.progress import Progress, Silent
@@ -126,26 +126,6 @@ class Bars:
 
     def _count(self, task: TaskID) -> float:
         return next((bar.completed for bar in self._bars.tasks if bar.id == task), 0.0)
-
-
-@contextmanager
-def clean_errors() -> Iterator[None]:
-    """Ends a user's mistake in one message."""
-    try:
-        yield
-    except OnebendError as error:
-        _fail(str(error), error, 2, docs=reference(error.about))
-    except KeyboardInterrupt as error:
-        _fail("Interrupted.", error, 130)
-    except OSError as error:
-        _fail(f"{error.filename or 'a file'}: {error.strerror or error}", error, 2)
-
-
-def _fail(message: str, error: BaseException, code: int, *, docs: str = "") -> NoReturn:
-    sentences = [message, *getattr(error, "__notes__", ())]
-    text = " ".join(one if one.endswith((".", "?", "!")) else f"{one}." for one in sentences)
-    say("\n".join(filter(None, (f"onebend: {text}", docs))), err=True)
-    raise typer.Exit(code) from None
 
 
 def say(text: str, *, err: bool = False) -> None:

@@ -57,7 +57,7 @@ def frequencies(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    with common.clean_errors(), common.progress_of(quiet) as progress:
+    with common.progress_of(quiet) as progress:
         detect = detection_cache().detect
         signals = swing_signals(source, threads=observing.threads, detect=detect, progress=progress)
         found = swing.frequencies_of(signals.time, signals.value, part, most=most, name=signals.name)
@@ -81,18 +81,17 @@ def damp(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    with common.clean_errors():
-        stored = read_trusted(model)
-        if output is not None:
-            check_name_free(output, overwrite=overwrite)
-        with common.progress_of(quiet) as progress:
-            seen = _observed(stored, recording, observing, progress)
-            fit = swing.learn_damping(stored.beam, seen, uncertain=stored.uncertain, part=part, settings=settings)
-        if output is not None:
-            whole = replace(stored, beam=fit.beam, damping=fit.damping)
-            text = model_text(whole, written_by=this_onebend())
-            if not (overwrite and amend(output, text.encode())):  # a file of a results folder: its summary is renewed
-                write_file(output, text, overwrite=overwrite)
+    stored = read_trusted(model)
+    if output is not None:
+        check_name_free(output, overwrite=overwrite)
+    with common.progress_of(quiet) as progress:
+        seen = _observed(stored, recording, observing, progress)
+        fit = swing.learn_damping(stored.beam, seen, uncertain=stored.uncertain, part=part, settings=settings)
+    if output is not None:
+        whole = replace(stored, beam=fit.beam, damping=fit.damping)
+        text = model_text(whole, written_by=this_onebend())
+        if not (overwrite and amend(output, text.encode())):  # a file of a results folder: its summary is renewed
+            write_file(output, text, overwrite=overwrite)
     said = {**damp_summary(str(model), fit), "output": None if output is None else str(output)}
     common.answer(as_json, said, lambda console: show_damping(console, fit, output))
 
@@ -109,20 +108,19 @@ def sense(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    with common.clean_errors():
-        stored = read_trusted(model)
-        with common.place_for(output, SENSE_FORMAT, overwrite) as work:
-            with common.progress_of(quiet) as progress:
-                seen = _observed(stored, recording, observing, progress)
-            setup = where.of(stored)
-            found = sense_force(stored.beam, seen, stiffness=stored.uncertain, setup=setup, settings=settings)
-            summary = sense_summary(str(model), found)
-            if work is not None:
-                from onebend.report.control_figures import sensing  # here: loads Matplotlib
+    stored = read_trusted(model)
+    with common.place_for(output, SENSE_FORMAT, overwrite) as work:
+        with common.progress_of(quiet) as progress:
+            seen = _observed(stored, recording, observing, progress)
+        setup = where.of(stored)
+        found = sense_force(stored.beam, seen, stiffness=stored.uncertain, setup=setup, settings=settings)
+        summary = sense_summary(str(model), found)
+        if work is not None:
+            from onebend.report.control_figures import sensing  # here: loads Matplotlib
 
-                pictures = draw({"force": lambda: sensing(found)})
-                inputs = inputs_of([model_file(model), *recording_files([recording])])
-                common.put_results(work, summary, partial(write_forces, found=found), pictures, inputs=inputs)
+            pictures = draw({"force": lambda: sensing(found)})
+            inputs = inputs_of([model_file(model), *recording_files([recording])])
+            common.put_results(work, summary, partial(write_forces, found=found), pictures, inputs=inputs)
     common.answer(as_json, summary, lambda console: show_sensed(console, found, output), output)
 
 
@@ -185,7 +183,7 @@ def learn(
     settings = replace(settings, method="paper" if method == "paper" else "regression")
     fit = fitting if method == "fit" else None
     frames = KeptFrames()
-    with common.clean_errors(), common.workplace(out, learned_files.LEARN_FORMAT, overwrite) as place:
+    with common.workplace(out, learned_files.LEARN_FORMAT, overwrite) as place:
         inputs = inputs_of(recording_files([*recordings, *(validate_on or ())]))
         with common.progress_of(quiet) as progress:
             run = learn_from(
@@ -236,38 +234,37 @@ def validate(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    with common.clean_errors():
-        stored = read_trusted(model)
-        setup, known = where.of(stored), observations_beside(model)
-        with (
-            common.place_for(output, learned_files.VALIDATE_FORMAT, overwrite) as place,
-            common.progress_of(quiet) as progress,
-        ):
-            inputs = () if place is None else inputs_of([model_file(model), *recording_files(recordings)])
-            pairs = compare(
-                stored.beam,
-                recordings,
-                learned_from=known,
-                stiffness=stored.uncertain,
-                setup=setup,
-                observing=observing,
-                detect=detection_cache().detect,
-                progress=progress,
-            )
-            summary = learned_files.validation_summary(str(model), pairs)
-            if place is not None:
-                from onebend.report.figures import validation_figures  # here, as above
+    stored = read_trusted(model)
+    setup, known = where.of(stored), observations_beside(model)
+    with (
+        common.place_for(output, learned_files.VALIDATE_FORMAT, overwrite) as place,
+        common.progress_of(quiet) as progress,
+    ):
+        inputs = () if place is None else inputs_of([model_file(model), *recording_files(recordings)])
+        pairs = compare(
+            stored.beam,
+            recordings,
+            learned_from=known,
+            stiffness=stored.uncertain,
+            setup=setup,
+            observing=observing,
+            detect=detection_cache().detect,
+            progress=progress,
+        )
+        summary = learned_files.validation_summary(str(model), pairs)
+        if place is not None:
+            from onebend.report.figures import validation_figures  # here, as above
 
-                pictures = draw(validation_figures(stored.beam, pairs), progress)
-                tables = partial(learned_files.write_comparisons, comparisons=[comparison for comparison, _ in pairs])
-                common.put_results(place, summary, tables, pictures, figures="figures", inputs=inputs)
+            pictures = draw(validation_figures(stored.beam, pairs), progress)
+            tables = partial(learned_files.write_comparisons, comparisons=[comparison for comparison, _ in pairs])
+            common.put_results(place, summary, tables, pictures, figures="figures", inputs=inputs)
     common.answer(as_json, summary, lambda console: show_validation(console, pairs, output))
 
 
 def plan(
     model: common.Model, *, settings: design.PlanSettings, as_json: common.Json = False, quiet: common.Quiet = False
 ) -> None:
-    with common.clean_errors(), common.progress_of(quiet) as progress:
+    with common.progress_of(quiet) as progress:
         read_trusted(model)  # warns of doubts
         found = plan_next(model, settings=settings, progress=progress)
     summary = learned_files.plan_summary(str(model), found)

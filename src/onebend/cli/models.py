@@ -25,9 +25,8 @@ def show(model: common.Model, *, as_json: common.Json = False) -> None:
     # here: other commands do without
     from onebend.cli.screens import show_model
 
-    with common.clean_errors():
-        stored = read_model(model)
-        say_changed(model, stored)
+    stored = read_model(model)
+    say_changed(model, stored)
     common.answer(as_json, model_summary(stored), lambda console: show_model(console, stored))
 
 

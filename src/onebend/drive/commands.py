@@ -58,7 +58,7 @@ def drive(
     quiet: common.Quiet = False,
 ) -> None:  # fmt: skip
     """Bend a learned beam to a goal with a robot and a camera: a plan first, and with --go the real loop, recorded."""
-    with common.clean_errors(), common.progress_of(quiet or as_json) as progress:
+    with common.progress_of(quiet or as_json) as progress:
         plan, made = planned(
             model, folder, asked, settings, goal=goal, point_s=point, push_s=push_at, progress=progress
         )  # fmt: skip
@@ -67,25 +67,23 @@ def drive(
         for what, says in plans.plan_rows(plan):
             table.add_row(what, Text(says))
         common.screen().print(table)
-    with common.clean_errors():
-        if not asked.go:
-            if as_json:
-                common.print_json({"plan": plans.plan_data(plan), "moved": False})
-            else:
-                common.say("Nothing moved. To move, add --go.")
-            return
-        if made is None:
-            raise RecordingError("--robot is missing: which one is to move? See docs/drive.md.")
-        with (
-            common.stopped_by_hand(times=2) as (stop, enter),
-            StateView(
-                None if quiet or as_json else common.stderr_screen(), _screen, lambda one: (one.says, one.says)
-            ) as view,
-        ):
-            outcome = go(folder, asked, plan, made, view.show, (stop, enter), overwrite=overwrite)
+    if not asked.go:
+        if as_json:
+            common.print_json({"plan": plans.plan_data(plan), "moved": False})
+        else:
+            common.say("Nothing moved. To move, add --go.")
+        return
+    if made is None:
+        raise RecordingError("--robot is missing: which one is to move? See docs/drive.md.")
+    with (
+        common.stopped_by_hand(times=2) as (stop, enter),
+        StateView(
+            None if quiet or as_json else common.stderr_screen(), _screen, lambda one: (one.says, one.says)
+        ) as view,
+    ):
+        outcome = go(folder, asked, plan, made, view.show, (stop, enter), overwrite=overwrite)
     _answer(outcome, data_alone=as_json)
-    with common.clean_errors():
-        refuse_failed(outcome)
+    refuse_failed(outcome)
 
 
 def planned(

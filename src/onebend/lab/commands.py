@@ -55,7 +55,7 @@ def film(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    with common.clean_errors(), common.progress_of(quiet) as progress:
+    with common.progress_of(quiet) as progress:
         filming, folder = _filming(design, request, asked.seed, output, asked.effects)
         check(filming, folder)
         if asked.markers:
@@ -167,17 +167,16 @@ def design(
     overwrite: ReplaceFiles = False,
     as_json: common.Json = False,
 ) -> None:
-    with common.clean_errors():
-        if new is not None:
-            common.say(f"Wrote {designs.write_design_template(new)}. Fill it in, then: onebend design {new}")
-            return
-        if name is None:
-            raise MechanicsError("name a design: uniform, linear, quadratic, cubic, or a file (--new FILE writes one)")
-        found = designs.find_design(name)
-        expected = designs.expect(found)
-        if model is not None:
-            text = model_text(StoredModel(found.beam(), None, found.uncertain()), written_by=this_onebend())
-            write_files({model: text}, overwrite=overwrite)
+    if new is not None:
+        common.say(f"Wrote {designs.write_design_template(new)}. Fill it in, then: onebend design {new}")
+        return
+    if name is None:
+        raise MechanicsError("name a design: uniform, linear, quadratic, cubic, or a file (--new FILE writes one)")
+    found = designs.find_design(name)
+    expected = designs.expect(found)
+    if model is not None:
+        text = model_text(StoredModel(found.beam(), None, found.uncertain()), written_by=this_onebend())
+        write_files({model: text}, overwrite=overwrite)
     common.answer(
         as_json,
         headed(DESIGN_FORMAT, **expected.as_dict()),
@@ -193,23 +192,22 @@ def tags(
     overwrite: ReplaceFiles = False,
     as_json: common.Json = False,
 ) -> None:
-    with common.clean_errors():
-        known = None if recording is None else read_recording(recording)
-        if (known is None) == (asked.ids is None):
-            raise MechanicsError("say which tags: --ids 0-4, or a recording whose tags they are, not both")
-        if known is not None and (asked.size is not None or asked.family is not None):
-            raise MechanicsError("the recording says the tags' size and family: leave --size-mm and --family out")
-        if known is None:
-            numbers, side, named = parse_ids(asked.ids or ""), asked.size or 0.012, asked.family or FAMILIES[0]
-        else:
-            numbers = tuple(tag.id for tag in (*known.tags.on_base, *known.tags.on_beam))
-            side, named = known.tags.size, known.tags.family
-        sheet = Sheet(numbers, side, named, asked.rim, asked.page)
-        pages = tag_pages(sheet)
-        if known is not None:
-            pages = (*pages, strip_page(known, page=asked.page, rim=asked.rim))
-        written = files_of(output, pages, f"{named}, {1e3 * side:g} mm")
-        write_files(written, overwrite=overwrite)
+    known = None if recording is None else read_recording(recording)
+    if (known is None) == (asked.ids is None):
+        raise MechanicsError("say which tags: --ids 0-4, or a recording whose tags they are, not both")
+    if known is not None and (asked.size is not None or asked.family is not None):
+        raise MechanicsError("the recording says the tags' size and family: leave --size-mm and --family out")
+    if known is None:
+        numbers, side, named = parse_ids(asked.ids or ""), asked.size or 0.012, asked.family or FAMILIES[0]
+    else:
+        numbers = tuple(tag.id for tag in (*known.tags.on_base, *known.tags.on_beam))
+        side, named = known.tags.size, known.tags.family
+    sheet = Sheet(numbers, side, named, asked.rim, asked.page)
+    pages = tag_pages(sheet)
+    if known is not None:
+        pages = (*pages, strip_page(known, page=asked.page, rim=asked.rim))
+    written = files_of(output, pages, f"{named}, {1e3 * side:g} mm")
+    write_files(written, overwrite=overwrite)
     if as_json:
         files = [str(path) for path in written]
         common.print_json(

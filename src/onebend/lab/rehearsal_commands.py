@@ -57,27 +57,26 @@ def loop(
     overwrite: common.Overwrite = False,
     as_json: common.Json = False,
 ) -> None:
-    with common.clean_errors():
-        stored = read_trusted(model)
-        learned_from, weight = stored.setup, gravity_on(stored.beam, gravity)
-        stored, _ = where.bending(stored, push_at, weight, point)
-        beam = stored.beam
-        beams = (
-            loop_simulation.wrong_beams(beam, asked.k_error)
-            if asked.draws is None
-            else loop_simulation.drawn_beams(beam, stored.uncertain, asked.draws)
-        )
-        settings = loop_simulation.trial_settings(camera.fps, camera.delay, asked.k_error, asked.max_force)
-        control = controller(beam, goal, push_s=push_at, point_s=point, gravity=weight, settings=settings)
-        warn_beyond_learned(learned_from, control.reference.ends)
-        trials = tuple(loop_simulation.simulate_trials(control, beams, eye=camera, duration=asked.duration))
-        known = control.margins()
-        summary = loop_summary(str(model), control, known, trials)
-        if output is not None:
-            from onebend.report.control_figures import looping  # here: it loads Matplotlib
+    stored = read_trusted(model)
+    learned_from, weight = stored.setup, gravity_on(stored.beam, gravity)
+    stored, _ = where.bending(stored, push_at, weight, point)
+    beam = stored.beam
+    beams = (
+        loop_simulation.wrong_beams(beam, asked.k_error)
+        if asked.draws is None
+        else loop_simulation.drawn_beams(beam, stored.uncertain, asked.draws)
+    )
+    settings = loop_simulation.trial_settings(camera.fps, camera.delay, asked.k_error, asked.max_force)
+    control = controller(beam, goal, push_s=push_at, point_s=point, gravity=weight, settings=settings)
+    warn_beyond_learned(learned_from, control.reference.ends)
+    trials = tuple(loop_simulation.simulate_trials(control, beams, eye=camera, duration=asked.duration))
+    known = control.margins()
+    summary = loop_summary(str(model), control, known, trials)
+    if output is not None:
+        from onebend.report.control_figures import looping  # here: it loads Matplotlib
 
-            tables, figures = partial(write_loop, trials=trials), {"loop": lambda: looping(control, trials)}
-            common.save_results(output, overwrite, summary, tables, figures, [model_file(model)])
+        tables, figures = partial(write_loop, trials=trials), {"loop": lambda: looping(control, trials)}
+        common.save_results(output, overwrite, summary, tables, figures, [model_file(model)])
     common.answer(as_json, summary, lambda console: show_loop(console, control, known, trials, output), output)
 
 
@@ -151,25 +150,24 @@ def rehearse(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    with common.clean_errors():
-        setup = setup_of(
-            known_beam(design),
-            wishes_of(push, asked.at, asked.force, asked.direction),
-            tags=places_of(asked.tags),
-            known_to=known_to,
-        )
-        with (
-            common.place_for(output, rehearsals.REHEARSE_FORMAT, overwrite) as place,
-            common.progress_of(quiet) as progress,
-        ):
-            inputs = () if place is None else inputs_of([Path(design)])
-            found = rehearsals.rehearse(setup, count=asked.count, progress=progress)
-            if place is not None:
-                pictures = draw({"rehearsal": partial(rehearsals.rehearsal_figure, found)})
-                summary = rehearsals.summary_of(found)
-                common.put_results(
-                    place, summary, partial(rehearsals.write_table, rehearsal=found), pictures, inputs=inputs
-                )
+    setup = setup_of(
+        known_beam(design),
+        wishes_of(push, asked.at, asked.force, asked.direction),
+        tags=places_of(asked.tags),
+        known_to=known_to,
+    )
+    with (
+        common.place_for(output, rehearsals.REHEARSE_FORMAT, overwrite) as place,
+        common.progress_of(quiet) as progress,
+    ):
+        inputs = () if place is None else inputs_of([Path(design)])
+        found = rehearsals.rehearse(setup, count=asked.count, progress=progress)
+        if place is not None:
+            pictures = draw({"rehearsal": partial(rehearsals.rehearsal_figure, found)})
+            summary = rehearsals.summary_of(found)
+            common.put_results(
+                place, summary, partial(rehearsals.write_table, rehearsal=found), pictures, inputs=inputs
+            )
     if as_json:
         common.print_json(rehearsals.summary_of(found))
         return

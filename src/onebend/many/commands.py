@@ -106,11 +106,10 @@ def batch(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    with common.clean_errors():
-        with common.progress_of(quiet) as progress:
-            outcome = run_batch(source, output, **vars(asked), progress=progress)
-        summary = batches.summary_of(outcome)
-        batches.write_batch(outcome, summary)
+    with common.progress_of(quiet) as progress:
+        outcome = run_batch(source, output, **vars(asked), progress=progress)
+    summary = batches.summary_of(outcome)
+    batches.write_batch(outcome, summary)
     common.answer(as_json, summary, lambda console: show_batch(console, outcome), output)
 
 
@@ -128,7 +127,6 @@ def population(
     quiet: common.Quiet = False,
 ) -> None:
     with (
-        common.clean_errors(),
         common.workplace(output, population_report.POPULATION_FORMAT, overwrite) as place,
         common.progress_of(quiet) as progress,
     ):
