@@ -147,12 +147,13 @@ class Drive:
         self._clock.wait_until(self._next)
         now = self._clock.now()
         self._next = max(self._next + 1.0 / self.plan.settings.rate, now)
-        rows = Samples(np.zeros(0), np.zeros((0, len(self.columns))), now)
+        rows, doing = Samples(np.zeros(0), np.zeros((0, len(self.columns))), now), "the drive failed"
         try:
             rows = self.cell.sense(now, self.state.doing)
-            self.state = self._acted(self._decided(self.state))
+            self.state, doing = self._decided(self.state), f"{self.name} answers no more"
+            self.state = self._acted(self.state)
         except Exception as failed:  # each robot's package has errors of its own
-            self.state = self._failed(self.state, failed)
+            self.state = self._failed(self.state, f"{doing} ({failed})")
         if math.isfinite(self.cell.turn.arrival) and self.state.stage in LED:
             self.latency.append(self._clock.now() - self.cell.turn.arrival)
         self._tell(now)
@@ -351,12 +352,11 @@ class Drive:
             return self._to_goal(state, state.number + 1)
         return self._going_back(state, "returning")
 
-    def _failed(self, state: DriveState, why: Exception) -> DriveState:
-        """The robot took no order, or this program failed: a fault, and no end of the loop."""
+    def _failed(self, state: DriveState, why: str) -> DriveState:
+        """A fault, and no end of the loop; where it holds, or no tool is out, the end of the drive."""
         if state.stage in ("waiting", "holding", "resting"):
-            said = f"{self.name} takes no orders ({why}). Look at it before you touch the beam"
-            return self._ended(state, said, fault=True)
-        return self._halted(state, f"{self.name} answers no more ({why})", fault=True)
+            return self._ended(state, f"{why}. Look at it before you touch the beam", fault=True)
+        return self._halted(state, why, fault=True)
 
     def _halted(self, state: DriveState, why: str, *, fault: bool = False, passes: bool = False) -> DriveState:
         """Hold at once; the release comes after, or where it `passes` it goes on."""
