@@ -83,9 +83,7 @@ def reach(
     settings: ReachSettings,
     where: SetUpOptions,
     gravity: common.Gravity = (0.0, 0.0),
-    output: common.Output = None,
-    overwrite: common.Overwrite = False,
-    as_json: common.Json = False,
+    told: common.Saved,
 ) -> None:
     stored = read_trusted(model)
     settings = replace(settings, gravity=gravity_on(stored.beam, gravity))
@@ -106,13 +104,13 @@ def reach(
         error = found.predicted
     warn_beyond_learned(stored.setup, found.force)
     summary = control_files.reach_summary(str(model), found, error)
-    if output is not None:
+    if told.output is not None:
         from onebend.report.control_figures import reaching  # here: loads Matplotlib
 
         tables = partial(control_files.write_reach, result=found)
         figures = {"reach": lambda: reaching(found, error, _within(found))}
-        common.save_results(output, overwrite, summary, tables, figures, [model_file(model)])
-    common.answer(as_json, summary, lambda console: show_reach(console, found, error, output), output)
+        common.save_results(told, summary, tables, figures, [model_file(model)])
+    common.answer(told, summary, lambda console: show_reach(console, found, error, told.output))
 
 
 def _within(found: Reach | ReachInSetUp) -> reach_set.ReachableSet | None:
@@ -228,9 +226,7 @@ def shape(
     settings: ShapeSettings,
     where: SetUpOptions,
     gravity: common.Gravity = (0.0, 0.0),
-    output: common.Output = None,
-    overwrite: common.Overwrite = False,
-    as_json: common.Json = False,
+    told: common.Saved,
 ) -> None:
     stored = read_trusted(model)
     pushes, holding = hands.actuators()
@@ -254,13 +250,13 @@ def shape(
         )
     warn_beyond_learned(learned_from, found.forces)
     summary = control_files.shape_summary(str(model), found)
-    if output is not None:
+    if told.output is not None:
         from onebend.report.control_figures import shaping  # here: loads Matplotlib
 
         tables = partial(control_files.write_shape, result=found)
         figures = {"shape": lambda: shaping(stored.beam, found)}
-        common.save_results(output, overwrite, summary, tables, figures, [model_file(model), targets])
-    common.answer(as_json, summary, lambda console: show_shape(console, found, output), output)
+        common.save_results(told, summary, tables, figures, [model_file(model), targets])
+    common.answer(told, summary, lambda console: show_shape(console, found, told.output))
 
 
 def path(
@@ -275,9 +271,7 @@ def path(
     between: BetweenGoals = None,
     gravity: common.Gravity = (0.0, 0.0),
     frame: FrameName = trajectory_files.FRAME,
-    output: common.Output = None,
-    overwrite: common.Overwrite = False,
-    as_json: common.Json = False,
+    told: common.Saved,
 ) -> None:
     stored = read_trusted(model)
     if not frame or not frame.isprintable():
@@ -303,13 +297,13 @@ def path(
     warn_beyond_learned(learned.setup, way.forces)
     sure = None if stored.uncertain is None else path_spread(way, stored.uncertain)
     summary = control_files.path_summary(str(model), way, sure)
-    if output is not None:
+    if told.output is not None:
         from onebend.report.control_figures import path_figure  # here: loads Matplotlib
 
         tables = partial(control_files.write_path, way=way, frame=frame)
         figures = {"path": lambda: path_figure(way)}
-        common.save_results(output, overwrite, summary, tables, figures, [model_file(model), goals])
-    common.answer(as_json, summary, lambda console: show_path(console, way, sure, output), output)
+        common.save_results(told, summary, tables, figures, [model_file(model), goals])
+    common.answer(told, summary, lambda console: show_path(console, way, sure, told.output))
 
 
 def show_loop(

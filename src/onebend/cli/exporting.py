@@ -23,6 +23,7 @@ Hinges = Annotated[int | None, typer.Option(min=2, max=10_000, metavar="N")]
 Samples = Annotated[int | None, typer.Option(min=1, max=MOST_SAMPLES, metavar="N")]
 Seed = Annotated[int, typer.Option(min=0, metavar="S")]
 MassKg = Annotated[float | None, typer.Option("--mass-kg", metavar="KG")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", "--force")]
 DampingTime = Annotated[float | None, typer.Option("--damping-time-s", metavar="SECONDS")]
 
 
@@ -36,7 +37,7 @@ def export_command(
     damping_time: DampingTime = None,
     samples: Samples = None,
     seed: Seed = 0,
-    overwrite: common.Overwrite = False,
+    overwrite: Overwrite = False,
 ) -> None:
     stored = read_trusted(model)
     path = output or Path(f"beam{KINDS[to].suffix}")

@@ -192,21 +192,20 @@ def check(
     recording: common.Recording,
     *,
     output: Picture = Path(PICTURE),
-    overwrite: common.Overwrite = False,
-    as_json: common.Json = False,
+    told: common.OwnFiles,
 ) -> None:
     from onebend.report.overview import SOFTWARE, overview  # here: `new` and `topics` read no films
 
-    check_replaceable(output, SOFTWARE, overwrite=overwrite)
+    check_replaceable(output, SOFTWARE, overwrite=told.overwrite)
     found = overview(recording)
     from onebend.report.figures import check_png  # here: Matplotlib loads slowly
 
     drawn = check_png(found)
     if drawn is not None:
         write_file(output, drawn, overwrite=True)
-    if found.faults and as_json:
+    if found.faults and told.as_json:
         raise ObservationError("\n".join(found.faults))
-    if as_json:
+    if told.as_json:
         common.print_json({**found.as_dict(), "picture": None if drawn is None else str(output)})
         return
     show_overview(common.screen(), found)
@@ -216,9 +215,9 @@ def check(
         raise ObservationError("\n".join(found.faults))
 
 
-def topics(bag: BagPath, *, as_json: common.Json = False) -> None:
+def topics(bag: BagPath, *, told: common.Said) -> None:
     found = bag_contents(bag)
-    if as_json:
+    if told.as_json:
         common.print_json(as_data(found))
     else:
         show_bag(common.screen(), found)
@@ -284,17 +283,15 @@ def calibrate(
     topic: ImageTopic = "",
     views: MostViews = 30,
     output: CameraFile = Path("camera.toml"),
-    overwrite: common.Overwrite = False,
-    as_json: common.Json = False,
-    quiet: common.Quiet = False,
+    told: common.OwnOutput,
 ) -> None:
     wanted = _board(board, square, marker, dictionary)
-    check_name_free(output, overwrite=overwrite)
-    with common.progress_of(quiet) as progress:
+    check_name_free(output, overwrite=told.overwrite)
+    with common.progress_of(told.quiet) as progress:
         found = calibrate_camera(video, wanted, topic=topic, most_views=views, progress=progress)
-    write_file(output, found.camera_table(), overwrite=overwrite)
+    write_file(output, found.camera_table(), overwrite=told.overwrite)
     said = headed(CALIBRATE_FORMAT, video=str(video), topic=topic or None, **found.as_dict())
-    common.answer(as_json, said, lambda console: show_calibration(console, found, output), output)
+    common.answer(told, said, lambda console: show_calibration(console, found, output), output)
 
 
 def _board(board: tuple[str, str], square: float, marker: float | None, dictionary: str) -> Board:

@@ -54,21 +54,20 @@ class DriveOptions:
 
 def drive(
     model: common.Model, folder: Out, *, goal: Goal = None, asked: DriveOptions, point: common.Point = 1.0,
-    push_at: common.PushAt = 1.0, settings: DriveSettings, overwrite: Replace = False, as_json: common.Json = False,
-    quiet: common.Quiet = False,
+    push_at: common.PushAt = 1.0, settings: DriveSettings, overwrite: Replace = False, told: common.Told,
 ) -> None:  # fmt: skip
     """Bend a learned beam to a goal with a robot and a camera: a plan first, and with --go the real loop, recorded."""
-    with common.progress_of(quiet or as_json) as progress:
+    with common.progress_of(told.quiet or told.as_json) as progress:
         plan, made = planned(
             model, folder, asked, settings, goal=goal, point_s=point, push_s=push_at, progress=progress
         )  # fmt: skip
-    if not as_json:
+    if not told.as_json:
         table = common.facts_table()
         for what, says in plans.plan_rows(plan):
             table.add_row(what, Text(says))
         common.screen().print(table)
     if not asked.go:
-        if as_json:
+        if told.as_json:
             common.print_json({"plan": plans.plan_data(plan), "moved": False})
         else:
             common.say("Nothing moved. To move, add --go.")
@@ -78,11 +77,11 @@ def drive(
     with (
         common.stopped_by_hand(times=2) as (stop, enter),
         StateView(
-            None if quiet or as_json else common.stderr_screen(), _screen, lambda one: (one.says, one.says)
+            None if told.quiet or told.as_json else common.stderr_screen(), _screen, lambda one: (one.says, one.says)
         ) as view,
     ):
         outcome = go(folder, asked, plan, made, view.show, (stop, enter), overwrite=overwrite)
-    _answer(outcome, data_alone=as_json)
+    _answer(outcome, data_alone=told.as_json)
     refuse_failed(outcome)
 
 

@@ -17,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from onebend import live
-from onebend.cli.common import Json, Quiet, percent, print_json, say, stderr_screen, stopped_by_hand
+from onebend.cli.common import Told, percent, print_json, say, stderr_screen, stopped_by_hand
 from onebend.errors import RecordingError
 from onebend.live.guidance import STAGES, CaptureSettings, CaptureState
 from onebend.options import Only, option
@@ -143,8 +143,7 @@ def record(
     *,
     asked: RecordOptions,
     settings: Capture,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    told: Told,
 ) -> None:
     """Record a push with a camera and a force sensor: guided from rest to rest, with k(s) while it goes on."""
     camera, force, play, like = asked.camera, asked.force, asked.play, asked.like
@@ -162,7 +161,7 @@ def record(
     sources = live.camera_of(camera), None if force in (None, "none") else live.force_of(force)
     if like is not None:
         live.copy_description(like, folder)
-    shown = StateView(None if quiet or as_json else stderr_screen(), recording_screen, recording_line)
+    shown = StateView(None if told.quiet or told.as_json else stderr_screen(), recording_screen, recording_line)
     with stopped_by_hand() as (stop, begin), shown as view:
         clock = live.PlayedClock() if asked.fast else None
         outcome = live.record(folder, *sources, settings, view.show, stop, begin=begin, clock=clock)
@@ -172,7 +171,7 @@ def record(
             kept += " To film whatever is wrong with the picture, add --now."
         why = outcome.why if outcome.why.endswith(("?", ".")) else f"{outcome.why}."
         raise RecordingError(f"{why} {kept}")
-    if as_json:
+    if told.as_json:
         print_json(live.outcome_data(outcome))
         return
     say(live.outcome_words(outcome))
