@@ -109,8 +109,9 @@ def _csv(path: Path, once: Sequence[str] = ()) -> tuple[dict[str, list[str]], In
         raise RecordingError(
             f"{path}, line 1: columns must be separated by commas, and decimals written with a point; no semicolons."
         )
-    for line, row in zip(lines[1:], rows[1:], strict=True):
-        if len(row) > len(header) and any(cell.strip() for cell in row[len(header) :]):
+    its_own = bool(set(once) & set(header))  # else it is no such table, and that is told
+    for line, row in zip(lines, rows, strict=True):
+        if its_own and any(cell.strip() for cell in row[len(header) :]):
             raise RecordingError(
                 f"{path}, line {line}: {len(row)} cells, but the header names {len(header)} columns. Write decimals "
                 "with a point, and a name above each column."
