@@ -153,14 +153,18 @@ def driven(goal: Goal) -> dict[str, Any]:
         made = outcome.drive
         found: dict[str, Any] = {
             "happened": [one.text for one in made.events],
-            "delay": made.meter.delay,
+            "delay": made.cell.meter.delay,
             "latency": made.latency,
             "turns": made.turns,
-            "pauses": made.lateness.pauses,
+            "pauses": made.pauses,
             "reached": outcome.data["reached"],
         }
         if made.outcomes:
-            found |= {"seconds": made.outcomes[0].seconds, "said": made.outcomes[0].said, "noise": made.eye.rest_noise}
+            found |= {
+                "seconds": made.outcomes[0].seconds,
+                "said": made.outcomes[0].said,
+                "noise": made.cell.eye.rest_noise,
+            }
         if true:
             found["off"] = float(np.linalg.norm(true[0] - np.array(goal.goal)))
         return found

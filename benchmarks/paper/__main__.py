@@ -10,6 +10,7 @@ from rich.console import Console
 
 from benchmarks.paper import report, study
 from onebend.cli import common
+from onebend.crash import clean_errors
 from onebend.files.publish import this_onebend, write_summary
 from onebend.options import expanded
 from onebend.report.sentences import UNKNOWN, millimetres
@@ -46,11 +47,10 @@ def reproduce(
     output: Out,
     setting: study.StudySettings,
     processes: Processes = None,
-    as_json: common.Json = False,
-    quiet: common.Quiet = False,
+    told: common.Told,
 ) -> None:
     """Repeat the paper's experiments: films of three beams, tables, figures and tasks in one report."""
-    with common.clean_errors(), common.progress_of(quiet) as progress:
+    with clean_errors(), common.progress_of(told.quiet) as progress:
         found = study.reproduce(output, setting, written_by=this_onebend(), processes=processes or 0, progress=progress)
         pictures = report.draw_figures(found, progress=progress)
         common.say_failed(pictures.failed)
@@ -58,7 +58,7 @@ def reproduce(
         report.write_report(output, found, pictures.drawn)
         summary = {**report.summary_of(found), **common.made_from_files((), {"study": setting})}
         write_summary(output, summary)
-    common.answer(as_json, summary, lambda console: show(console, found, output), output)
+    common.answer(told, summary, lambda console: show(console, found, output), output)
 
 
 app = typer.Typer(add_completion=False)

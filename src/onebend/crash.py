@@ -1,4 +1,4 @@
-"""The outermost handler: what is unforeseen ends in one line for the user, and a file with the rest.
+"""How errors end: a user's mistake in its message, what is unforeseen in one line, and a file with the rest.
 
 Output that cannot be written (a full disk, a closed pipe) ends the program too; characters that the output's encoding
 lacks are replaced.
@@ -12,14 +12,36 @@ import platform
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import NoReturn
 
-from onebend.errors import OnebendError
+from onebend.errors import OnebendError, reference
 
 FAILED, INTERRUPTED = 2, 130
 LONGEST = 300  # characters of an error's own words
+
+
+@contextmanager
+def clean_errors() -> Iterator[None]:
+    """Ends a user's mistake in one message."""
+    try:
+        yield
+    except OnebendError as error:
+        _end(str(error), error, FAILED, docs=reference(error.about))
+    except KeyboardInterrupt as error:
+        _end("Interrupted.", error, INTERRUPTED)
+    except BrokenPipeError:
+        raise SystemExit(FAILED) from None
+    except OSError as error:
+        _end(f"{error.filename or 'the output'}: {error.strerror or error}", error, FAILED)
+
+
+def _end(message: str, error: BaseException, code: int, *, docs: str = "") -> NoReturn:
+    sentences = [message, *getattr(error, "__notes__", ())]
+    text = " ".join(one if one.endswith((".", "?", "!")) else f"{one}." for one in sentences)
+    tell("\n".join(filter(None, (text, docs))))
+    raise SystemExit(code) from None
 
 
 def guarded(work: Callable[[], object], version: str) -> NoReturn:
@@ -28,21 +50,11 @@ def guarded(work: Callable[[], object], version: str) -> NoReturn:
         with suppress(AttributeError, ValueError, OSError):
             stream.reconfigure(errors="replace")  # type: ignore[union-attr]
     try:
-        work()
+        with clean_errors():
+            work()
         code: str | int | None = 0
     except SystemExit as asked:
         code = FAILED if asked.code == 1 else asked.code  # Typer's, where a pipe is closed
-    except KeyboardInterrupt:
-        code = INTERRUPTED
-        tell("Interrupted.")
-    except OnebendError as error:  # while a command is loaded
-        code = FAILED
-        tell(str(error))
-    except BrokenPipeError:
-        code = FAILED
-    except OSError as error:
-        code = FAILED
-        tell(f"{error.filename or 'the output'}: {error.strerror or error}.")
     except BaseException as error:
         code = FAILED
         tell(" ".join((words(error), *getattr(error, "__notes__", ()), kept(error, version))))
@@ -54,7 +66,7 @@ def words(error: BaseException) -> str:
     if isinstance(error, MemoryError):
         return "there is not enough memory for this."
     try:
-        said = _one_line(str(error))[:LONGEST]
+        said = str(error)[:LONGEST].replace("\n", "\\n")
     except Exception:
         said = ""
     return f"a fault of onebend's own ({type(error).__name__}{': ' if said else ''}{said})."
@@ -74,15 +86,11 @@ def kept(error: BaseException, version: str) -> str:
 
 
 def tell(text: str) -> None:
-    """One line on standard error, where that can be written."""
+    """On standard error, where that can be written."""
+    from onebend.text_files import printable  # here: what goes well does without
+
     with suppress(OSError, ValueError, AttributeError):
-        sys.stderr.write(f"onebend: {_one_line(text)}\n")
-
-
-def _one_line(text: str) -> str:
-    from onebend.text_files import one_line  # here: what goes well does without
-
-    return one_line(text)
+        sys.stderr.write(f"onebend: {printable(text)}\n")
 
 
 def _flushed() -> bool:

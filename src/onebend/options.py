@@ -27,7 +27,7 @@ SCALES = {"deg": math.pi / 180.0, "mm": 1e-3, "ms": 1e-3, "kPa": 1e3, "percent":
 class Option:
     """An option of a field; its range is in its own unit."""
 
-    name: str
+    name: str  # or names, the first of which is the key of what is given
     help: str | None  # None: in `options.toml`
     metavar: str | None
     within: tuple[float | None, float | None]
@@ -141,7 +141,7 @@ def _parameters(settings: Any) -> Iterator[Parameter]:
             shown, (low, high) = said.shown(default), said.within
             kind = list[get_args(kind)[0]] if get_origin(kind) is tuple else kind  # type: ignore[misc]
             help = said.help or helps()[_bare(settings).__name__][said.name]
-            info = typer.Option(said.name, help=help, metavar=said.metavar, min=low, max=high)
+            info = typer.Option(*said.name.split(), help=help, metavar=said.metavar, min=low, max=high)
             annotation: Any = Annotated[kind | None if shown is None else kind, info]
             yield Parameter(_key(said), Parameter.KEYWORD_ONLY, default=shown, annotation=annotation)
 
@@ -164,4 +164,4 @@ def _filled(settings: Any, given: Mapping[str, Any]) -> Any:
 
 
 def _key(said: Option) -> str:
-    return said.name.lstrip("-").replace("-", "_")
+    return said.name.split()[0].lstrip("-").replace("-", "_")

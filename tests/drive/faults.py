@@ -176,7 +176,7 @@ class Suffered:
     def ended(self) -> bool:
         """Whether it ended as it should: as a fault, or on its goal after a pause."""
         made = self.outcome.drive
-        as_said = self.outcome.good and len(made.lateness.pauses) == 1 if self.fault.kind in PASSES else made.fault
+        as_said = self.outcome.good and len(made.pauses) == 1 if self.fault.kind in PASSES else made.fault
         return made.over and as_said
 
 

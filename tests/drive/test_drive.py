@@ -93,7 +93,7 @@ def test_the_true_point_comes_to_rest_on_the_goal(
     assert np.linalg.norm(true[-1] - goal) < min(one.said, 1e-3)
     assert one.said < 1.5e-3
     lag = 0.02 if by == "pose" else 0.0
-    assert outcome.drive.meter.delay == pytest.approx(0.06 + lag + TURN, abs=0.02)
+    assert outcome.drive.cell.meter.delay == pytest.approx(0.06 + lag + TURN, abs=0.02)
     assert float(np.linalg.norm(true_point(cell, 1.0) - [0.15, 0.0])) < 1e-3  # it was brought back
     assert robot.released == 1
     settled = outcome.drive.events[0].time
@@ -229,7 +229,7 @@ def test_what_was_only_late_pauses_and_goes_on(tmp_path: Path) -> None:
     assert texts[1].startswith("holds: no new picture came")
     assert texts[2].startswith("goes on after")
     assert outcome.good, texts
-    (pause,) = outcome.drive.lateness.pauses
+    (pause,) = outcome.drive.pauses
     assert 0.4 < pause < 1.0
     assert not [at for at, _ in robot.told if robot.held_at < at < robot.held_at + pause - 0.01]
     (one,) = outcome.drive.outcomes
@@ -260,7 +260,7 @@ def test_nothing_moves_before_the_rest_was_seen(tmp_path: Path) -> None:
     made.open(PlayedClock())
     for _ in range(500):
         made.read(math.inf)
-    assert made.stage == "waiting"
+    assert made.state.stage == "waiting"
     assert not robot.told
     made.stop()
     made.read(math.inf)

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
 from onebend.cli import app
-from onebend.cli.common import clean_errors, remarks_list
+from onebend.cli.common import remarks_list
+from onebend.crash import clean_errors
 from onebend.errors import ObservationError, reference, section, sections, told
 from onebend.learning.criticism import Criticism, Finding, Score, Suspect
 from onebend.learning.verdict import criticism_notices, fit_notices
@@ -145,7 +145,7 @@ def test_an_error_that_has_a_section_names_it(capsys: pytest.CaptureFixture[str]
     error = ObservationError("no tag is in the film", about="unseen tag")
     assert told(error).splitlines() == ["no tag is in the film", "docs: troubleshooting.md#a-tag-is-never-seen"]
     assert told(ObservationError("no push")) == "no push"
-    with pytest.raises(typer.Exit), clean_errors():
+    with pytest.raises(SystemExit), clean_errors():
         raise error
     said = capsys.readouterr().err.splitlines()
     assert said == ["onebend: no tag is in the film.", "docs: troubleshooting.md#a-tag-is-never-seen"]

@@ -25,7 +25,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.models import OptionInfo
 
 import onebend
-from onebend.crash import guarded
+from onebend.crash import clean_errors, guarded
 from onebend.progress import one_blas_thread
 from onebend.wings import GROUPS, WINGS, Place, commands_of
 
@@ -40,12 +40,13 @@ GIVEN: ContextVar[Mapping[str, Any]] = ContextVar("GIVEN")  # options of the run
 
 
 def remembered(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with its options in `GIVEN`."""
+    """The command with its options in `GIVEN`; a user's mistake ends it in one message."""
 
     @wraps(command)
     def inside(**options: Any) -> None:
         GIVEN.set(options)
-        command(**options)
+        with clean_errors():
+            command(**options)
 
     return inside
 

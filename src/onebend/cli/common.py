@@ -8,9 +8,10 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -30,9 +31,9 @@ from rich.table import Table
 from rich.text import Text
 
 from onebend.cli import GIVEN
-from onebend.errors import OnebendError, RecordingError, reference
+from onebend.errors import RecordingError, reference
 from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish, unplaced, write_summary
-from onebend.options import POSITIVE
+from onebend.options import POSITIVE, Only, option
 from onebend.progress import Progress, Silent
 from onebend.records import Array, Remark
 from onebend.report.sentences import significant
@@ -52,10 +53,23 @@ Goal = Annotated[tuple[float, float], typer.Option("--goal", metavar="X Y")]
 Gravity = Annotated[tuple[float, float], typer.Option("--gravity-m-s2", metavar="GX GY")]
 Recording = Annotated[Path, typer.Argument(metavar="REC")]
 Model = Annotated[Path, typer.Argument(metavar="MODEL")]
-Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT")]
-Overwrite = Annotated[bool, typer.Option("--force", "--overwrite")]
-Json = Annotated[bool, typer.Option("--json")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q")]
+
+
+@dataclass(frozen=True)
+class AnswerOptions:
+    """Where the answer goes, and how."""
+
+    output: Path | None = option("--output -o", None, metavar="OUT")
+    overwrite: bool = option("--overwrite --force", False)
+    as_json: bool = option("--json", False)
+    quiet: bool = option("--quiet -q", False)
+
+
+Saved = Annotated[AnswerOptions, Only(("output", "overwrite", "as_json"))]
+OwnOutput = Annotated[AnswerOptions, Only(("overwrite", "as_json", "quiet"))]  # the command has an output of its own
+OwnFiles = Annotated[AnswerOptions, Only(("overwrite", "as_json"))]
+Told = Annotated[AnswerOptions, Only(("as_json", "quiet"))]
+Said = Annotated[AnswerOptions, Only(("as_json",))]
 
 
 # The screen, on which names given by people are text only. Progress: bars on a screen, lines on a pipe.
@@ -128,26 +142,6 @@ class Bars:
         return next((bar.completed for bar in self._bars.tasks if bar.id == task), 0.0)
 
 
-@contextmanager
-def clean_errors() -> Iterator[None]:
-    """Ends a user's mistake in one message."""
-    try:
-        yield
-    except OnebendError as error:
-        _fail(str(error), error, 2, docs=reference(error.about))
-    except KeyboardInterrupt as error:
-        _fail("Interrupted.", error, 130)
-    except OSError as error:
-        _fail(f"{error.filename or 'a file'}: {error.strerror or error}", error, 2)
-
-
-def _fail(message: str, error: BaseException, code: int, *, docs: str = "") -> NoReturn:
-    sentences = [message, *getattr(error, "__notes__", ())]
-    text = " ".join(one if one.endswith((".", "?", "!")) else f"{one}." for one in sentences)
-    say("\n".join(filter(None, (f"onebend: {text}", docs))), err=True)
-    raise typer.Exit(code) from None
-
-
 def say(text: str, *, err: bool = False) -> None:
     """One escaped line."""
     typer.echo(printable(text), err=err)
@@ -187,9 +181,9 @@ def workplace(out: Path, kind: str, overwrite: bool) -> Iterator[OutputFolder]:
 
 
 @contextmanager
-def place_for(output: Path | None, kind: str, overwrite: bool) -> Iterator[OutputFolder | None]:
+def place_for(told: AnswerOptions, kind: str) -> Iterator[OutputFolder | None]:
     """A `workplace` if there is an output, else None."""
-    with nullcontext() if output is None else workplace(output, kind, overwrite) as place:
+    with nullcontext() if told.output is None else workplace(told.output, kind, told.overwrite) as place:
         yield place
 
 
@@ -247,17 +241,17 @@ def put_results(
 
 
 def save_results(
-    output: Path,
-    overwrite: bool,
+    told: AnswerOptions,
     summary: Mapping[str, Any],
     tables: Callable[[Path], None],
     wanted: Mapping[str, Draw],
     read: Sequence[Path],
 ) -> None:
-    """Draws the wanted pictures, and publishes all in `output`, made from the files `read`."""
+    """Draws the wanted pictures, and publishes all in the output, made from the files `read`."""
     from onebend.report.pictures import draw  # here: other commands draw nothing
 
-    with workplace(output, summary["format"], overwrite) as place:
+    with place_for(told, summary["format"]) as place:
+        assert place is not None
         put_results(place, summary, tables, draw(wanted), inputs=inputs_of(read))
 
 
@@ -287,9 +281,12 @@ def print_json(data: object) -> None:
     typer.echo(text)
 
 
-def answer(as_json: bool, data: Mapping[str, Any], show: Callable[[Console], None], output: Path | None = None) -> None:
-    """The data as JSON, or `show` on the screen."""
-    if as_json:
+def answer(
+    told: AnswerOptions, data: Mapping[str, Any], show: Callable[[Console], None], output: Path | None = None
+) -> None:
+    """The data as JSON, or `show` on the screen. `output`: of a command with one of its own."""
+    output = output or told.output
+    if told.as_json:
         print_json(data if output is None else {**data, "output": str(output)})
     else:
         show(screen())

@@ -83,37 +83,34 @@ def reach(
     settings: ReachSettings,
     where: SetUpOptions,
     gravity: common.Gravity = (0.0, 0.0),
-    output: common.Output = None,
-    overwrite: common.Overwrite = False,
-    as_json: common.Json = False,
+    told: common.Saved,
 ) -> None:
-    with common.clean_errors():
-        stored = read_trusted(model)
-        settings = replace(settings, gravity=gravity_on(stored.beam, gravity))
-        wanted = np.array([*goal, *([] if goal_angle is None else [math.radians(goal_angle)])])
-        setup, known = where.of(stored), stored.uncertain
-        found: Reach | ReachInSetUp
-        if setup is None or known is None or settings.moment or settings.method == "paper":
-            if tag is not None:
-                raise ControlError(f"--tag goes with neither --moment nor --method paper: {WITHOUT_SETUP}")
-            found = solve_reach(stored.beam, wanted, push_s=push_at, point_s=point, settings=settings)
-            if not found.converged:
-                raise ControlError(found.reason)
-            error = None if known is None else predicted_error(stored.beam, known, found)
-        else:
-            found = reach_in_setup(
-                stored.beam, known, setup, wanted, push_s=push_at, point_s=point, tag=tag, settings=settings
-            )
-            error = found.predicted
-        warn_beyond_learned(stored.setup, found.force)
-        summary = control_files.reach_summary(str(model), found, error)
-        if output is not None:
-            from onebend.report.control_figures import reaching  # here: loads Matplotlib
+    stored = read_trusted(model)
+    settings = replace(settings, gravity=gravity_on(stored.beam, gravity))
+    wanted = np.array([*goal, *([] if goal_angle is None else [math.radians(goal_angle)])])
+    setup, known = where.of(stored), stored.uncertain
+    found: Reach | ReachInSetUp
+    if setup is None or known is None or settings.moment or settings.method == "paper":
+        if tag is not None:
+            raise ControlError(f"--tag goes with neither --moment nor --method paper: {WITHOUT_SETUP}")
+        found = solve_reach(stored.beam, wanted, push_s=push_at, point_s=point, settings=settings)
+        if not found.converged:
+            raise ControlError(found.reason)
+        error = None if known is None else predicted_error(stored.beam, known, found)
+    else:
+        found = reach_in_setup(
+            stored.beam, known, setup, wanted, push_s=push_at, point_s=point, tag=tag, settings=settings
+        )
+        error = found.predicted
+    warn_beyond_learned(stored.setup, found.force)
+    summary = control_files.reach_summary(str(model), found, error)
+    if told.output is not None:
+        from onebend.report.control_figures import reaching  # here: loads Matplotlib
 
-            tables = partial(control_files.write_reach, result=found)
-            figures = {"reach": lambda: reaching(found, error, _within(found))}
-            common.save_results(output, overwrite, summary, tables, figures, [model_file(model)])
-    common.answer(as_json, summary, lambda console: show_reach(console, found, error, output), output)
+        tables = partial(control_files.write_reach, result=found)
+        figures = {"reach": lambda: reaching(found, error, _within(found))}
+        common.save_results(told, summary, tables, figures, [model_file(model)])
+    common.answer(told, summary, lambda console: show_reach(console, found, error, told.output))
 
 
 def _within(found: Reach | ReachInSetUp) -> reach_set.ReachableSet | None:
@@ -229,40 +226,37 @@ def shape(
     settings: ShapeSettings,
     where: SetUpOptions,
     gravity: common.Gravity = (0.0, 0.0),
-    output: common.Output = None,
-    overwrite: common.Overwrite = False,
-    as_json: common.Json = False,
+    told: common.Saved,
 ) -> None:
-    with common.clean_errors():
-        stored = read_trusted(model)
-        pushes, holding = hands.actuators()
-        learned_from, pull = stored.setup, gravity_on(stored.beam, gravity)
-        wanted = read_targets(targets, stored.beam.length, where.of(stored))
-        stored, setup = where.bending(stored, pushes[0].at_s if pushes else 1.0, pull, wanted.s, wanted.tag)
-        found = solve_shape(
-            stored.beam,
-            wanted,
-            pushes=pushes,
-            grip=holding,
-            gravity=pull,
-            uncertain=stored.uncertain,
-            settings=settings,
+    stored = read_trusted(model)
+    pushes, holding = hands.actuators()
+    learned_from, pull = stored.setup, gravity_on(stored.beam, gravity)
+    wanted = read_targets(targets, stored.beam.length, where.of(stored))
+    stored, setup = where.bending(stored, pushes[0].at_s if pushes else 1.0, pull, wanted.s, wanted.tag)
+    found = solve_shape(
+        stored.beam,
+        wanted,
+        pushes=pushes,
+        grip=holding,
+        gravity=pull,
+        uncertain=stored.uncertain,
+        settings=settings,
+    )
+    found = replace(found, setup=setup)
+    if found.rms > FAR * stored.beam.length:
+        raise ControlError(
+            f"nothing near the targets can be reached: the closest shape is {1e3 * found.rms:.4g} mm rms away from "
+            f"them, the beam {1e3 * stored.beam.length:.4g} mm long. Give targets that the beam can reach"
         )
-        found = replace(found, setup=setup)
-        if found.rms > FAR * stored.beam.length:
-            raise ControlError(
-                f"nothing near the targets can be reached: the closest shape is {1e3 * found.rms:.4g} mm rms away from "
-                f"them, the beam {1e3 * stored.beam.length:.4g} mm long. Give targets that the beam can reach"
-            )
-        warn_beyond_learned(learned_from, found.forces)
-        summary = control_files.shape_summary(str(model), found)
-        if output is not None:
-            from onebend.report.control_figures import shaping  # here: loads Matplotlib
+    warn_beyond_learned(learned_from, found.forces)
+    summary = control_files.shape_summary(str(model), found)
+    if told.output is not None:
+        from onebend.report.control_figures import shaping  # here: loads Matplotlib
 
-            tables = partial(control_files.write_shape, result=found)
-            figures = {"shape": lambda: shaping(stored.beam, found)}
-            common.save_results(output, overwrite, summary, tables, figures, [model_file(model), targets])
-    common.answer(as_json, summary, lambda console: show_shape(console, found, output), output)
+        tables = partial(control_files.write_shape, result=found)
+        figures = {"shape": lambda: shaping(stored.beam, found)}
+        common.save_results(told, summary, tables, figures, [model_file(model), targets])
+    common.answer(told, summary, lambda console: show_shape(console, found, told.output))
 
 
 def path(
@@ -277,44 +271,39 @@ def path(
     between: BetweenGoals = None,
     gravity: common.Gravity = (0.0, 0.0),
     frame: FrameName = trajectory_files.FRAME,
-    output: common.Output = None,
-    overwrite: common.Overwrite = False,
-    as_json: common.Json = False,
+    told: common.Saved,
 ) -> None:
-    with common.clean_errors():
-        stored = read_trusted(model)
-        if not frame or not frame.isprintable():
-            raise ControlError(f"--frame {frame!r} is no name of a frame: leave out what cannot be printed")
-        limits = settings.limits
-        hands.refuse_idle({"--max-speed-m-per-s": limits.speed, "--max-turn-rate-deg-per-s": limits.turning})
-        pushes, holding = hands.actuators()
-        if not pushes and math.isfinite(limits.force):
-            raise ControlError(
-                "--max-force-rate-N-per-s limits a push, and there is none: add --push-at, or leave it out"
-            )
-        weight = gravity_on(stored.beam, gravity)
-        by_points: Between = "smooth" if between is None or between == "force" else between
-        wanted = read_goals(goals, point_s=point, tag=tag, between=by_points, setup=where.of(stored))
-        learned, push_s, most = stored, pushes[0].at_s if pushes else 1.0, hands.max_force
-        stored, setup = where.bending(stored, push_s, weight, wanted.targets.s, wanted.targets.tag)
-        one, to = holding is None and len(pushes) == 1, wanted.targets
-        if between == "force" or (between is None and one and len(to.s) == 1 and not to.turned.any()):
-            if not one:
-                raise ControlError("--between force is for one push; with a grip or more pushes take smooth")
-            known = None if setup is None or learned.uncertain is None else (learned.beam, learned.uncertain, setup)
-            wanted = by_force(stored.beam, wanted, push_s=push_s, max_force=most, gravity=weight, learned=known)
-        way = follow_goals(stored.beam, wanted, pushes=pushes, grip=holding, gravity=weight, settings=settings)
-        way = replace(way, setup=setup)
-        warn_beyond_learned(learned.setup, way.forces)
-        sure = None if stored.uncertain is None else path_spread(way, stored.uncertain)
-        summary = control_files.path_summary(str(model), way, sure)
-        if output is not None:
-            from onebend.report.control_figures import path_figure  # here: loads Matplotlib
+    stored = read_trusted(model)
+    if not frame or not frame.isprintable():
+        raise ControlError(f"--frame {frame!r} is no name of a frame: leave out what cannot be printed")
+    limits = settings.limits
+    hands.refuse_idle({"--max-speed-m-per-s": limits.speed, "--max-turn-rate-deg-per-s": limits.turning})
+    pushes, holding = hands.actuators()
+    if not pushes and math.isfinite(limits.force):
+        raise ControlError("--max-force-rate-N-per-s limits a push, and there is none: add --push-at, or leave it out")
+    weight = gravity_on(stored.beam, gravity)
+    by_points: Between = "smooth" if between is None or between == "force" else between
+    wanted = read_goals(goals, point_s=point, tag=tag, between=by_points, setup=where.of(stored))
+    learned, push_s, most = stored, pushes[0].at_s if pushes else 1.0, hands.max_force
+    stored, setup = where.bending(stored, push_s, weight, wanted.targets.s, wanted.targets.tag)
+    one, to = holding is None and len(pushes) == 1, wanted.targets
+    if between == "force" or (between is None and one and len(to.s) == 1 and not to.turned.any()):
+        if not one:
+            raise ControlError("--between force is for one push; with a grip or more pushes take smooth")
+        known = None if setup is None or learned.uncertain is None else (learned.beam, learned.uncertain, setup)
+        wanted = by_force(stored.beam, wanted, push_s=push_s, max_force=most, gravity=weight, learned=known)
+    way = follow_goals(stored.beam, wanted, pushes=pushes, grip=holding, gravity=weight, settings=settings)
+    way = replace(way, setup=setup)
+    warn_beyond_learned(learned.setup, way.forces)
+    sure = None if stored.uncertain is None else path_spread(way, stored.uncertain)
+    summary = control_files.path_summary(str(model), way, sure)
+    if told.output is not None:
+        from onebend.report.control_figures import path_figure  # here: loads Matplotlib
 
-            tables = partial(control_files.write_path, way=way, frame=frame)
-            figures = {"path": lambda: path_figure(way)}
-            common.save_results(output, overwrite, summary, tables, figures, [model_file(model), goals])
-    common.answer(as_json, summary, lambda console: show_path(console, way, sure, output), output)
+        tables = partial(control_files.write_path, way=way, frame=frame)
+        figures = {"path": lambda: path_figure(way)}
+        common.save_results(told, summary, tables, figures, [model_file(model), goals])
+    common.answer(told, summary, lambda console: show_path(console, way, sure, told.output))
 
 
 def show_loop(

@@ -23,6 +23,7 @@ Hinges = Annotated[int | None, typer.Option(min=2, max=10_000, metavar="N")]
 Samples = Annotated[int | None, typer.Option(min=1, max=MOST_SAMPLES, metavar="N")]
 Seed = Annotated[int, typer.Option(min=0, metavar="S")]
 MassKg = Annotated[float | None, typer.Option("--mass-kg", metavar="KG")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", "--force")]
 DampingTime = Annotated[float | None, typer.Option("--damping-time-s", metavar="SECONDS")]
 
 
@@ -36,21 +37,20 @@ def export_command(
     damping_time: DampingTime = None,
     samples: Samples = None,
     seed: Seed = 0,
-    overwrite: common.Overwrite = False,
+    overwrite: Overwrite = False,
 ) -> None:
-    with common.clean_errors():
-        stored = read_trusted(model)
-        path = output or Path(f"beam{KINDS[to].suffix}")
-        sites = () if stored.origin is None else stored.origin.marker_s
-        told = _told(model, stored)
-        rod = sample_of_model(stored, mass=mass, damping_time=damping_time, sites=sites, told=told)
-        draws = () if samples is None else drawn(rod, samples, seed=seed)
-        files = _files(path, to, rod, draws, hinges)
-        write_files(files, overwrite=overwrite)
-        first, *more = files
-        common.say(f"Wrote {first}{f' and {len(more)} more' if more else ''}: {KINDS[to].says}.")
-        for sentence in without(rod, to):
-            common.say(sentence)
+    stored = read_trusted(model)
+    path = output or Path(f"beam{KINDS[to].suffix}")
+    sites = () if stored.origin is None else stored.origin.marker_s
+    told = _told(model, stored)
+    rod = sample_of_model(stored, mass=mass, damping_time=damping_time, sites=sites, told=told)
+    draws = () if samples is None else drawn(rod, samples, seed=seed)
+    files = _files(path, to, rod, draws, hinges)
+    write_files(files, overwrite=overwrite)
+    first, *more = files
+    common.say(f"Wrote {first}{f' and {len(more)} more' if more else ''}: {KINDS[to].says}.")
+    for sentence in without(rod, to):
+        common.say(sentence)
     common.say(KINDS[to].use.format(path=first))
 
 

@@ -54,19 +54,14 @@ def frequencies(
     slowed: Slowed = 1.0,
     most: MostModes = 4,
     observing: Watched,
-    as_json: common.Json = False,
-    quiet: common.Quiet = False,
+    told: common.Told,
 ) -> None:
-    with common.clean_errors(), common.progress_of(quiet) as progress:
+    with common.progress_of(told.quiet) as progress:
         detect = detection_cache().detect
         signals = swing_signals(source, threads=observing.threads, detect=detect, progress=progress)
         found = swing.frequencies_of(signals.time, signals.value, part, most=most, name=signals.name)
     found = found.sped_up(slowed)
-    common.answer(
-        as_json,
-        frequencies_summary(str(source), found),
-        lambda console: show_frequencies(console, found),
-    )
+    common.answer(told, frequencies_summary(str(source), found), lambda console: show_frequencies(console, found))
 
 
 def damp(
@@ -77,24 +72,21 @@ def damp(
     settings: swing.DampingSettings,
     output: ModelFile = None,
     observing: Watched,
-    overwrite: common.Overwrite = False,
-    as_json: common.Json = False,
-    quiet: common.Quiet = False,
+    told: common.OwnOutput,
 ) -> None:
-    with common.clean_errors():
-        stored = read_trusted(model)
-        if output is not None:
-            check_name_free(output, overwrite=overwrite)
-        with common.progress_of(quiet) as progress:
-            seen = _observed(stored, recording, observing, progress)
-            fit = swing.learn_damping(stored.beam, seen, uncertain=stored.uncertain, part=part, settings=settings)
-        if output is not None:
-            whole = replace(stored, beam=fit.beam, damping=fit.damping)
-            text = model_text(whole, written_by=this_onebend())
-            if not (overwrite and amend(output, text.encode())):  # a file of a results folder: its summary is renewed
-                write_file(output, text, overwrite=overwrite)
+    stored = read_trusted(model)
+    if output is not None:
+        check_name_free(output, overwrite=told.overwrite)
+    with common.progress_of(told.quiet) as progress:
+        seen = _observed(stored, recording, observing, progress)
+        fit = swing.learn_damping(stored.beam, seen, uncertain=stored.uncertain, part=part, settings=settings)
+    if output is not None:
+        whole = replace(stored, beam=fit.beam, damping=fit.damping)
+        text = model_text(whole, written_by=this_onebend())
+        if not (told.overwrite and amend(output, text.encode())):  # a file of a results folder: its summary is renewed
+            write_file(output, text, overwrite=told.overwrite)
     said = {**damp_summary(str(model), fit), "output": None if output is None else str(output)}
-    common.answer(as_json, said, lambda console: show_damping(console, fit, output))
+    common.answer(told, said, lambda console: show_damping(console, fit, output))
 
 
 def sense(
@@ -103,27 +95,23 @@ def sense(
     *,
     settings: SenseSettings,
     where: SetUpOptions,
-    output: common.Output = None,
     observing: Watched,
-    overwrite: common.Overwrite = False,
-    as_json: common.Json = False,
-    quiet: common.Quiet = False,
+    told: common.AnswerOptions,
 ) -> None:
-    with common.clean_errors():
-        stored = read_trusted(model)
-        with common.place_for(output, SENSE_FORMAT, overwrite) as work:
-            with common.progress_of(quiet) as progress:
-                seen = _observed(stored, recording, observing, progress)
-            setup = where.of(stored)
-            found = sense_force(stored.beam, seen, stiffness=stored.uncertain, setup=setup, settings=settings)
-            summary = sense_summary(str(model), found)
-            if work is not None:
-                from onebend.report.control_figures import sensing  # here: loads Matplotlib
+    stored = read_trusted(model)
+    with common.place_for(told, SENSE_FORMAT) as work:
+        with common.progress_of(told.quiet) as progress:
+            seen = _observed(stored, recording, observing, progress)
+        setup = where.of(stored)
+        found = sense_force(stored.beam, seen, stiffness=stored.uncertain, setup=setup, settings=settings)
+        summary = sense_summary(str(model), found)
+        if work is not None:
+            from onebend.report.control_figures import sensing  # here: loads Matplotlib
 
-                pictures = draw({"force": lambda: sensing(found)})
-                inputs = inputs_of([model_file(model), *recording_files([recording])])
-                common.put_results(work, summary, partial(write_forces, found=found), pictures, inputs=inputs)
-    common.answer(as_json, summary, lambda console: show_sensed(console, found, output), output)
+            pictures = draw({"force": lambda: sensing(found)})
+            inputs = inputs_of([model_file(model), *recording_files([recording])])
+            common.put_results(work, summary, partial(write_forces, found=found), pictures, inputs=inputs)
+    common.answer(told, summary, lambda console: show_sensed(console, found, told.output))
 
 
 def _observed(stored: StoredModel, recording: Path, observing: ObserveSettings, progress: Progress) -> Observations:
@@ -170,24 +158,21 @@ NoReport = Annotated[bool, typer.Option("--no-report")]
 def learn(
     recordings: Recordings,
     *,
-    output: common.Output = None,
     validate_on: ValidateOn = None,
     method: Method = "fit",
     settings: paper.RegressionSettings,
     fitting: optimizer.FitSettings,
     observing: Observing,
-    overwrite: common.Overwrite = False,
     no_report: NoReport = False,
-    as_json: common.Json = False,
-    quiet: common.Quiet = False,
+    told: common.AnswerOptions,
 ) -> None:
-    out = output or Path(f"{folder_of(recordings[0]).resolve().name}-results")
+    out = told.output or Path(f"{folder_of(recordings[0]).resolve().name}-results")
     settings = replace(settings, method="paper" if method == "paper" else "regression")
     fit = fitting if method == "fit" else None
     frames = KeptFrames()
-    with common.clean_errors(), common.workplace(out, learned_files.LEARN_FORMAT, overwrite) as place:
+    with common.workplace(out, learned_files.LEARN_FORMAT, told.overwrite) as place:
         inputs = inputs_of(recording_files([*recordings, *(validate_on or ())]))
-        with common.progress_of(quiet) as progress:
+        with common.progress_of(told.quiet) as progress:
             run = learn_from(
                 *recordings,
                 settings=settings,
@@ -208,13 +193,13 @@ def learn(
             common.put_in_place(place, write, pictures.failed if pictures else {}, made_from=made_from)
 
         put(None if no_report else Pictures())  # the fit is safe before pictures are drawn
-        if not as_json:
+        if not told.as_json:
             show_run(common.screen(), run, out, report=not no_report)
         if not no_report:
-            with common.progress_of(quiet) as progress:
+            with common.progress_of(told.quiet) as progress:
                 pictures = draw_all(run, frames=frames, progress=progress)
             put(pictures)
-    if as_json:
+    if told.as_json:
         common.print_json({**summary, "output": str(out)})
 
 
@@ -230,45 +215,39 @@ def validate(
     recordings: Recordings,
     *,
     where: SetUpOptions,
-    output: common.Output = None,
     observing: Observing,
-    overwrite: common.Overwrite = False,
-    as_json: common.Json = False,
-    quiet: common.Quiet = False,
+    told: common.AnswerOptions,
 ) -> None:
-    with common.clean_errors():
-        stored = read_trusted(model)
-        setup, known = where.of(stored), observations_beside(model)
-        with (
-            common.place_for(output, learned_files.VALIDATE_FORMAT, overwrite) as place,
-            common.progress_of(quiet) as progress,
-        ):
-            inputs = () if place is None else inputs_of([model_file(model), *recording_files(recordings)])
-            pairs = compare(
-                stored.beam,
-                recordings,
-                learned_from=known,
-                stiffness=stored.uncertain,
-                setup=setup,
-                observing=observing,
-                detect=detection_cache().detect,
-                progress=progress,
-            )
-            summary = learned_files.validation_summary(str(model), pairs)
-            if place is not None:
-                from onebend.report.figures import validation_figures  # here, as above
+    stored = read_trusted(model)
+    setup, known = where.of(stored), observations_beside(model)
+    with (
+        common.place_for(told, learned_files.VALIDATE_FORMAT) as place,
+        common.progress_of(told.quiet) as progress,
+    ):
+        inputs = () if place is None else inputs_of([model_file(model), *recording_files(recordings)])
+        pairs = compare(
+            stored.beam,
+            recordings,
+            learned_from=known,
+            stiffness=stored.uncertain,
+            setup=setup,
+            observing=observing,
+            detect=detection_cache().detect,
+            progress=progress,
+        )
+        summary = learned_files.validation_summary(str(model), pairs)
+        if place is not None:
+            from onebend.report.figures import validation_figures  # here, as above
 
-                pictures = draw(validation_figures(stored.beam, pairs), progress)
-                tables = partial(learned_files.write_comparisons, comparisons=[comparison for comparison, _ in pairs])
-                common.put_results(place, summary, tables, pictures, figures="figures", inputs=inputs)
-    common.answer(as_json, summary, lambda console: show_validation(console, pairs, output))
+            pictures = draw(validation_figures(stored.beam, pairs), progress)
+            tables = partial(learned_files.write_comparisons, comparisons=[comparison for comparison, _ in pairs])
+            common.put_results(place, summary, tables, pictures, figures="figures", inputs=inputs)
+    common.answer(told, summary, lambda console: show_validation(console, pairs, told.output))
 
 
-def plan(
-    model: common.Model, *, settings: design.PlanSettings, as_json: common.Json = False, quiet: common.Quiet = False
-) -> None:
-    with common.clean_errors(), common.progress_of(quiet) as progress:
+def plan(model: common.Model, *, settings: design.PlanSettings, told: common.Told) -> None:
+    with common.progress_of(told.quiet) as progress:
         read_trusted(model)  # warns of doubts
         found = plan_next(model, settings=settings, progress=progress)
     summary = learned_files.plan_summary(str(model), found)
-    common.answer(as_json, summary, lambda console: show_plan(console, found))
+    common.answer(told, summary, lambda console: show_plan(console, found))

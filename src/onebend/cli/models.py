@@ -21,14 +21,13 @@ from onebend.results.model import StoredModel, model_file, model_summary, read_m
 HEAVY = 100.0  # m/s^2: more is another unit
 
 
-def show(model: common.Model, *, as_json: common.Json = False) -> None:
+def show(model: common.Model, *, told: common.Said) -> None:
     # here: other commands do without
     from onebend.cli.screens import show_model
 
-    with common.clean_errors():
-        stored = read_model(model)
-        say_changed(model, stored)
-    common.answer(as_json, model_summary(stored), lambda console: show_model(console, stored))
+    stored = read_model(model)
+    say_changed(model, stored)
+    common.answer(told, model_summary(stored), lambda console: show_model(console, stored))
 
 
 def read_trusted(model: Path) -> StoredModel:

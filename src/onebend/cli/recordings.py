@@ -128,18 +128,17 @@ def new(
         "video": video, "ros": ros is not None, "photo": photo, "photos": photos, "weights": weights, "mocap": mocap
     }  # fmt: skip
     kinds = [kind for kind, wanted in asked.items() if wanted]
-    with common.clean_errors():
-        if len(kinds) > 1:
-            names = " and ".join(f"--{kind}" for kind in kinds)
-            raise RecordingError(f"{names}: a recording is of one kind. Make a folder of each")
-        kind: Kind = kinds[0] if kinds else "video"
-        found = FoundInFiles() if ros is None else FoundInFiles(bag_values(ros, folder))
-        path = write_template(folder, kind, found, everything=everything)
-        if not yes and sys.stdin is not None and sys.stdin.isatty():
-            text = path.read_text(encoding="utf-8")
-            common.say(f"{path}: Enter leaves a line empty.")
-            write_file(path, answered(text, ask), overwrite=True)
+    if len(kinds) > 1:
+        names = " and ".join(f"--{kind}" for kind in kinds)
+        raise RecordingError(f"{names}: a recording is of one kind. Make a folder of each")
+    kind: Kind = kinds[0] if kinds else "video"
+    found = FoundInFiles() if ros is None else FoundInFiles(bag_values(ros, folder))
+    path = write_template(folder, kind, found, everything=everything)
+    if not yes and sys.stdin is not None and sys.stdin.isatty():
         text = path.read_text(encoding="utf-8")
+        common.say(f"{path}: Enter leaves a line empty.")
+        write_file(path, answered(text, ask), overwrite=True)
+    text = path.read_text(encoding="utf-8")
     left = dict.fromkeys(str(place[-1]) for place, _, _ in empty_values(text))
     steps = [f"fill in {', '.join(left)}"] if left else []
     there = all((folder / name).exists() for name in re.findall(r'^file = "(.+?)"', text, re.MULTILINE))
@@ -193,36 +192,32 @@ def check(
     recording: common.Recording,
     *,
     output: Picture = Path(PICTURE),
-    overwrite: common.Overwrite = False,
-    as_json: common.Json = False,
+    told: common.OwnFiles,
 ) -> None:
     from onebend.report.overview import SOFTWARE, overview  # here: `new` and `topics` read no films
 
-    with common.clean_errors():
-        check_replaceable(output, SOFTWARE, overwrite=overwrite)
-        found = overview(recording)
-        from onebend.report.figures import check_png  # here: Matplotlib loads slowly
+    check_replaceable(output, SOFTWARE, overwrite=told.overwrite)
+    found = overview(recording)
+    from onebend.report.figures import check_png  # here: Matplotlib loads slowly
 
-        drawn = check_png(found)
-        if drawn is not None:
-            write_file(output, drawn, overwrite=True)
-        if found.faults and as_json:
-            raise ObservationError("\n".join(found.faults))
-    if as_json:
+    drawn = check_png(found)
+    if drawn is not None:
+        write_file(output, drawn, overwrite=True)
+    if found.faults and told.as_json:
+        raise ObservationError("\n".join(found.faults))
+    if told.as_json:
         common.print_json({**found.as_dict(), "picture": None if drawn is None else str(output)})
         return
     show_overview(common.screen(), found)
     if drawn is not None:
         common.say(f"picture {output}")
     if found.faults:
-        with common.clean_errors():
-            raise ObservationError("\n".join(found.faults))
+        raise ObservationError("\n".join(found.faults))
 
 
-def topics(bag: BagPath, *, as_json: common.Json = False) -> None:
-    with common.clean_errors():
-        found = bag_contents(bag)
-    if as_json:
+def topics(bag: BagPath, *, told: common.Said) -> None:
+    found = bag_contents(bag)
+    if told.as_json:
         common.print_json(as_data(found))
     else:
         show_bag(common.screen(), found)
@@ -288,18 +283,15 @@ def calibrate(
     topic: ImageTopic = "",
     views: MostViews = 30,
     output: CameraFile = Path("camera.toml"),
-    overwrite: common.Overwrite = False,
-    as_json: common.Json = False,
-    quiet: common.Quiet = False,
+    told: common.OwnOutput,
 ) -> None:
-    with common.clean_errors():
-        wanted = _board(board, square, marker, dictionary)
-        check_name_free(output, overwrite=overwrite)
-        with common.progress_of(quiet) as progress:
-            found = calibrate_camera(video, wanted, topic=topic, most_views=views, progress=progress)
-        write_file(output, found.camera_table(), overwrite=overwrite)
+    wanted = _board(board, square, marker, dictionary)
+    check_name_free(output, overwrite=told.overwrite)
+    with common.progress_of(told.quiet) as progress:
+        found = calibrate_camera(video, wanted, topic=topic, most_views=views, progress=progress)
+    write_file(output, found.camera_table(), overwrite=told.overwrite)
     said = headed(CALIBRATE_FORMAT, video=str(video), topic=topic or None, **found.as_dict())
-    common.answer(as_json, said, lambda console: show_calibration(console, found, output), output)
+    common.answer(told, said, lambda console: show_calibration(console, found, output), output)
 
 
 def _board(board: tuple[str, str], square: float, marker: float | None, dictionary: str) -> Board:

@@ -54,38 +54,35 @@ class DriveOptions:
 
 def drive(
     model: common.Model, folder: Out, *, goal: Goal = None, asked: DriveOptions, point: common.Point = 1.0,
-    push_at: common.PushAt = 1.0, settings: DriveSettings, overwrite: Replace = False, as_json: common.Json = False,
-    quiet: common.Quiet = False,
+    push_at: common.PushAt = 1.0, settings: DriveSettings, overwrite: Replace = False, told: common.Told,
 ) -> None:  # fmt: skip
     """Bend a learned beam to a goal with a robot and a camera: a plan first, and with --go the real loop, recorded."""
-    with common.clean_errors(), common.progress_of(quiet or as_json) as progress:
+    with common.progress_of(told.quiet or told.as_json) as progress:
         plan, made = planned(
             model, folder, asked, settings, goal=goal, point_s=point, push_s=push_at, progress=progress
         )  # fmt: skip
-    if not as_json:
+    if not told.as_json:
         table = common.facts_table()
         for what, says in plans.plan_rows(plan):
             table.add_row(what, Text(says))
         common.screen().print(table)
-    with common.clean_errors():
-        if not asked.go:
-            if as_json:
-                common.print_json({"plan": plans.plan_data(plan), "moved": False})
-            else:
-                common.say("Nothing moved. To move, add --go.")
-            return
-        if made is None:
-            raise RecordingError("--robot is missing: which one is to move? See docs/drive.md.")
-        with (
-            common.stopped_by_hand(times=2) as (stop, enter),
-            StateView(
-                None if quiet or as_json else common.stderr_screen(), _screen, lambda one: (one.says, one.says)
-            ) as view,
-        ):
-            outcome = go(folder, asked, plan, made, view.show, (stop, enter), overwrite=overwrite)
-    _answer(outcome, data_alone=as_json)
-    with common.clean_errors():
-        refuse_failed(outcome)
+    if not asked.go:
+        if told.as_json:
+            common.print_json({"plan": plans.plan_data(plan), "moved": False})
+        else:
+            common.say("Nothing moved. To move, add --go.")
+        return
+    if made is None:
+        raise RecordingError("--robot is missing: which one is to move? See docs/drive.md.")
+    with (
+        common.stopped_by_hand(times=2) as (stop, enter),
+        StateView(
+            None if told.quiet or told.as_json else common.stderr_screen(), _screen, lambda one: (one.says, one.says)
+        ) as view,
+    ):
+        outcome = go(folder, asked, plan, made, view.show, (stop, enter), overwrite=overwrite)
+    _answer(outcome, data_alone=told.as_json)
+    refuse_failed(outcome)
 
 
 def planned(
@@ -187,7 +184,7 @@ def _answer(outcome: DriveOutcome, *, data_alone: bool) -> None:
             word = "not reached" if not one.reached else "passed in time" if passed else "reached"
             said = "" if passed else f" (said: to {1e3 * one.said:.2g} mm)"
             common.say(f"({x:.4g}, {y:.4g}) mm: {word}, seen {off:.2g} mm off{said}")
-        if pauses := made.lateness.pauses:
+        if pauses := made.pauses:
             common.say(
                 f"It paused {len(pauses)} times, {sum(pauses):.1f} s in all: pictures, answers or turns of the loop "
                 "were late. On a busy computer end other programs, or see docs/drive.md on real-time scheduling."

@@ -18,9 +18,10 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.control.loop import Controller, controller
-from onebend.drive.machine import Drive, DriveState, bending_weights, mean_ratio
+from onebend.drive.machine import Drive, DriveState
 from onebend.drive.plan import DrivePlan, plan_data
 from onebend.drive.robots import Robot
+from onebend.drive.watching import LED
 from onebend.errors import OnebendError, RecordingError
 from onebend.files.single_file import write_file
 from onebend.live import guidance, live, recording_folder, session
@@ -80,11 +81,11 @@ class _Watched:
         if not self._ended:
             got = self._camera.read(wait)
             if isinstance(got, Frame):
-                got = self._drive.came(got, self.timing)
-            if not isinstance(got, End) or self._drive.stage == "waiting":
+                got = self._drive.cell.came(got, self.timing)
+            if not isinstance(got, End) or self._drive.state.stage == "waiting":
                 return got
             self._ended = True
-            self._drive.camera_ended(got.why)
+            self._drive.cell.camera_ended = got.why
         if self._drive.over:
             return End("the drive is over")
         self._clock.wait_until(self._clock.now() + min(wait, 0.05))
@@ -156,7 +157,7 @@ def state_push(folder: Path, push_s: float) -> None:
 
 def drive_data(plan: DrivePlan, made: Drive) -> dict[str, Any]:
     """What drive.json holds, SI."""
-    latency, turns = np.array(made.latency), np.array(made.turns)
+    latency, turns, state, meter = np.array(made.latency), np.array(made.turns), made.state, made.cell.meter
     goals = [
         {
             "goal_m": one.goal.tolist(), "reached": one.reached, "seconds": one.seconds, "seen_m": one.seen.tolist(),
@@ -172,11 +173,11 @@ def drive_data(plan: DrivePlan, made: Drive) -> dict[str, Any]:
         "fault": made.fault,
         "goals": goals,
         "happened": [{"time_s": one.time, "text": one.text, "fault": one.fault} for one in made.events],
-        "delay_s": made.meter.delay if math.isfinite(made.meter.sd) else math.nan,
-        "delay_sd_s": made.meter.sd,
+        "delay_s": state.delay,
+        "delay_sd_s": meter.sd,
         "picture_to_command_s": _middle_and_worst(latency),
         "turn_s": _middle_and_worst(turns),
-        "pauses_s": made.lateness.pauses,
+        "pauses_s": made.pauses,
     }
 
 
@@ -196,16 +197,15 @@ class _DriveTable:
         self._table: recording_folder.GrowingTable | None = None
 
     def see(self, frame: Frame, time: float, corners: Array) -> None:
-        made = self._drive
-        made.see(frame, time, corners)
-        if made.stage == "waiting":
+        made, state = self._drive, self._drive.state
+        made.cell.see(frame, time, corners)
+        if state.stage == "waiting":
             return
         if self._table is None:
             self._path.unlink(missing_ok=True)
             self._table = recording_folder.GrowingTable(self._path, COLUMNS)
-        state = made.now()
         goal = [float(len(made.outcomes)), *state.point, state.distance, *state.asked, *state.felt]
-        self._table.add(np.array([[time, *goal, *made.tool, state.delay]]), _FORMATS)
+        self._table.add(np.array([[time, *goal, *made.cell.tool, state.delay]]), _FORMATS)
         if self._table.rows % 30 == 0:
             self._table.flush()
 
@@ -228,25 +228,30 @@ class _Learner:
         self.live = live.Live(rec, clock=(0.0, error), settings=_REVIEWS, beside=False)
         self._plan = plan
 
-    def renewed(self, goal: Array, force: Array, old: Beam) -> Controller | None:
+    def renewed(self, goal: Array, force: Array, old: Beam) -> tuple[Controller, float] | None:
         """The loop to the goal (2,) m by k(s) as it is known now, from the force (2,) N that holds the `old` beam where
-        it is; None where k(s) is not known to be another, or where this beam cannot be led there."""
+        it is, and by what factor k(s) grew; None where it is not known to, or where this beam cannot be led there."""
         known, plan, control = self.live.state(), self._plan, self._plan.goals[0].control
         if known.stiffness is None or known.verdict.grade == "not to be trusted":
             return None
         beam = replace(old, stiffness=known.stiffness.profile)
-        stiffer = mean_ratio(beam, old, plan.push_s)
-        s, weights = bending_weights(plan.push_s)
+        s = plan.push_s * np.linspace(0.0, 1.0, 41)
+        weights = (plan.push_s - s) ** 2 / np.sum(
+            (plan.push_s - s) ** 2
+        )  # as a force across the straight beam bends it
+        ratio = np.asarray(beam.stiffness(s)) / np.asarray(old.stiffness(s))
+        stiffer = float(np.exp(weights @ np.log(ratio)))
         sd = math.sqrt(weights @ known.stiffness.log_covariance(s) @ weights + known.stiffness.gain_sd**2)
         if abs(math.log(stiffer)) < max(LEARNED_CHANGE, 2.0 * sd):
             return None
         try:
-            return controller(
+            made = controller(
                 beam, goal, push_s=plan.push_s, point_s=plan.point_s, gravity=plan.gravity, start=stiffer * force,
                 settings=replace(control.settings, gains=control.gains),
             )  # fmt: skip
         except OnebendError:
             return None
+        return made, stiffer
 
 
 class Renewer(session.Follower):
@@ -288,11 +293,11 @@ class Renewer(session.Follower):
             while self._asked:
                 made, self._asked = self._made.get_nowait(), False
                 if made is not None:
-                    self._drive.renew(made)
-        lead = self._drive.leads_to
-        if lead is not None and not self._asked and now >= self._next:
+                    self._drive.renew(*made)
+        state = self._drive.state
+        if state.stage in LED and not self._asked and now >= self._next:
             self._next, self._asked = now + LEARNED_EVERY, True
-            self._tell("renewed", *lead)
+            self._tell("renewed", state.goal, state.asked, state.control.beam)
 
     def _tell(self, what: str, *values: Any) -> None:
         if self._learner is None:
@@ -307,7 +312,7 @@ class Renewer(session.Follower):
             self._process.kill()
 
 
-def _learn(plan: DrivePlan, told: Queue[Any], made: Queue[Controller | None]) -> None:
+def _learn(plan: DrivePlan, told: Queue[Any], made: Queue[tuple[Controller, float] | None]) -> None:
     """The process."""
     leave_interrupts_to_parent()
     learner = _Learner(plan, *told.get())
@@ -316,7 +321,7 @@ def _learn(plan: DrivePlan, told: Queue[Any], made: Queue[Controller | None]) ->
         _obey(learner, what, values, made)
 
 
-def _obey(learner: _Learner, what: str, values: tuple[Any, ...], made: Queue[Controller | None]) -> None:
+def _obey(learner: _Learner, what: str, values: tuple[Any, ...], made: Queue[tuple[Controller, float] | None]) -> None:
     if what == "renewed":
         made.put(learner.renewed(*values))
     else:

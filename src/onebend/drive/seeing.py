@@ -194,6 +194,12 @@ class DelayMeter:
         if len(self._shown) >= _FEWEST and len(self._shown) % _EVERY == 0:
             self._measure(noise)
 
+    def newest(self, span: float, since: float) -> tuple[Array, Array]:
+        """(n,) s and (n, 2) m: where the point was seen in the last `span` [s], later than `since`."""
+        shown = np.array(self._shown).reshape(-1, 3)
+        shown = shown[(shown[:, 0] >= shown[-1:, 0] - span) & (shown[:, 0] > since)]
+        return shown[:, 0], shown[:, 1:]
+
     def _measure(self, noise: float) -> None:
         told, shown = np.array(self._told), np.array(self._shown)
         shown = shown[shown[:, 0] > told[0, 0] + self._longest]

@@ -52,10 +52,9 @@ def film(
     output: FilmFolder = None,
     request: FilmRequest,
     asked: FilmOptions,
-    as_json: common.Json = False,
-    quiet: common.Quiet = False,
+    told: common.Told,
 ) -> None:
-    with common.clean_errors(), common.progress_of(quiet) as progress:
+    with common.progress_of(told.quiet) as progress:
         filming, folder = _filming(design, request, asked.seed, output, asked.effects)
         check(filming, folder)
         if asked.markers:
@@ -70,7 +69,7 @@ def film(
         with common.workplace(folder, FILM_FORMAT, overwrite=False) as place:
             common.put_in_place(place, make)
     bench = filming.bench
-    if as_json:
+    if told.as_json:
         data = {"length_m": bench.beam.length, "force_max_N": bench.push.peak, "video_seconds": bench.push.duration}
         common.print_json(headed(FILM_FORMAT, output=str(folder), seed=asked.seed, **data))
         return
@@ -141,7 +140,6 @@ NewDesign = Annotated[Path | None, typer.Option("--new", metavar="FILE")]
 DesignModel = Annotated[Path | None, typer.Option("--model", metavar="FILE")]
 StripOf = Annotated[Path | None, typer.Argument(metavar="[REC]")]
 SheetFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE")]
-ReplaceFiles = Annotated[bool, typer.Option("--force", "--overwrite")]
 
 
 @dataclass(frozen=True)
@@ -164,25 +162,19 @@ def design(
     *,
     new: NewDesign = None,
     model: DesignModel = None,
-    overwrite: ReplaceFiles = False,
-    as_json: common.Json = False,
+    told: common.OwnFiles,
 ) -> None:
-    with common.clean_errors():
-        if new is not None:
-            common.say(f"Wrote {designs.write_design_template(new)}. Fill it in, then: onebend design {new}")
-            return
-        if name is None:
-            raise MechanicsError("name a design: uniform, linear, quadratic, cubic, or a file (--new FILE writes one)")
-        found = designs.find_design(name)
-        expected = designs.expect(found)
-        if model is not None:
-            text = model_text(StoredModel(found.beam(), None, found.uncertain()), written_by=this_onebend())
-            write_files({model: text}, overwrite=overwrite)
-    common.answer(
-        as_json,
-        headed(DESIGN_FORMAT, **expected.as_dict()),
-        lambda console: show_design(console, expected),
-    )
+    if new is not None:
+        common.say(f"Wrote {designs.write_design_template(new)}. Fill it in, then: onebend design {new}")
+        return
+    if name is None:
+        raise MechanicsError("name a design: uniform, linear, quadratic, cubic, or a file (--new FILE writes one)")
+    found = designs.find_design(name)
+    expected = designs.expect(found)
+    if model is not None:
+        text = model_text(StoredModel(found.beam(), None, found.uncertain()), written_by=this_onebend())
+        write_files({model: text}, overwrite=told.overwrite)
+    common.answer(told, headed(DESIGN_FORMAT, **expected.as_dict()), lambda console: show_design(console, expected))
 
 
 def tags(
@@ -190,27 +182,25 @@ def tags(
     *,
     output: SheetFile,
     asked: TagOptions,
-    overwrite: ReplaceFiles = False,
-    as_json: common.Json = False,
+    told: common.OwnFiles,
 ) -> None:
-    with common.clean_errors():
-        known = None if recording is None else read_recording(recording)
-        if (known is None) == (asked.ids is None):
-            raise MechanicsError("say which tags: --ids 0-4, or a recording whose tags they are, not both")
-        if known is not None and (asked.size is not None or asked.family is not None):
-            raise MechanicsError("the recording says the tags' size and family: leave --size-mm and --family out")
-        if known is None:
-            numbers, side, named = parse_ids(asked.ids or ""), asked.size or 0.012, asked.family or FAMILIES[0]
-        else:
-            numbers = tuple(tag.id for tag in (*known.tags.on_base, *known.tags.on_beam))
-            side, named = known.tags.size, known.tags.family
-        sheet = Sheet(numbers, side, named, asked.rim, asked.page)
-        pages = tag_pages(sheet)
-        if known is not None:
-            pages = (*pages, strip_page(known, page=asked.page, rim=asked.rim))
-        written = files_of(output, pages, f"{named}, {1e3 * side:g} mm")
-        write_files(written, overwrite=overwrite)
-    if as_json:
+    known = None if recording is None else read_recording(recording)
+    if (known is None) == (asked.ids is None):
+        raise MechanicsError("say which tags: --ids 0-4, or a recording whose tags they are, not both")
+    if known is not None and (asked.size is not None or asked.family is not None):
+        raise MechanicsError("the recording says the tags' size and family: leave --size-mm and --family out")
+    if known is None:
+        numbers, side, named = parse_ids(asked.ids or ""), asked.size or 0.012, asked.family or FAMILIES[0]
+    else:
+        numbers = tuple(tag.id for tag in (*known.tags.on_base, *known.tags.on_beam))
+        side, named = known.tags.size, known.tags.family
+    sheet = Sheet(numbers, side, named, asked.rim, asked.page)
+    pages = tag_pages(sheet)
+    if known is not None:
+        pages = (*pages, strip_page(known, page=asked.page, rim=asked.rim))
+    written = files_of(output, pages, f"{named}, {1e3 * side:g} mm")
+    write_files(written, overwrite=told.overwrite)
+    if told.as_json:
         files = [str(path) for path in written]
         common.print_json(
             headed(TAGS_FORMAT, family=named, size_m=side, ids=list(numbers), pages=len(pages), files=files)

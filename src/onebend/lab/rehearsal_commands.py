@@ -53,32 +53,29 @@ def loop(
     camera: loop_simulation.LoopCamera,
     asked: SimulatedLoop,
     where: SetUpOptions,
-    output: common.Output = None,
-    overwrite: common.Overwrite = False,
-    as_json: common.Json = False,
+    told: common.Saved,
 ) -> None:
-    with common.clean_errors():
-        stored = read_trusted(model)
-        learned_from, weight = stored.setup, gravity_on(stored.beam, gravity)
-        stored, _ = where.bending(stored, push_at, weight, point)
-        beam = stored.beam
-        beams = (
-            loop_simulation.wrong_beams(beam, asked.k_error)
-            if asked.draws is None
-            else loop_simulation.drawn_beams(beam, stored.uncertain, asked.draws)
-        )
-        settings = loop_simulation.trial_settings(camera.fps, camera.delay, asked.k_error, asked.max_force)
-        control = controller(beam, goal, push_s=push_at, point_s=point, gravity=weight, settings=settings)
-        warn_beyond_learned(learned_from, control.reference.ends)
-        trials = tuple(loop_simulation.simulate_trials(control, beams, eye=camera, duration=asked.duration))
-        known = control.margins()
-        summary = loop_summary(str(model), control, known, trials)
-        if output is not None:
-            from onebend.report.control_figures import looping  # here: it loads Matplotlib
+    stored = read_trusted(model)
+    learned_from, weight = stored.setup, gravity_on(stored.beam, gravity)
+    stored, _ = where.bending(stored, push_at, weight, point)
+    beam = stored.beam
+    beams = (
+        loop_simulation.wrong_beams(beam, asked.k_error)
+        if asked.draws is None
+        else loop_simulation.drawn_beams(beam, stored.uncertain, asked.draws)
+    )
+    settings = loop_simulation.trial_settings(camera.fps, camera.delay, asked.k_error, asked.max_force)
+    control = controller(beam, goal, push_s=push_at, point_s=point, gravity=weight, settings=settings)
+    warn_beyond_learned(learned_from, control.reference.ends)
+    trials = tuple(loop_simulation.simulate_trials(control, beams, eye=camera, duration=asked.duration))
+    known = control.margins()
+    summary = loop_summary(str(model), control, known, trials)
+    if told.output is not None:
+        from onebend.report.control_figures import looping  # here: it loads Matplotlib
 
-            tables, figures = partial(write_loop, trials=trials), {"loop": lambda: looping(control, trials)}
-            common.save_results(output, overwrite, summary, tables, figures, [model_file(model)])
-    common.answer(as_json, summary, lambda console: show_loop(console, control, known, trials, output), output)
+        tables, figures = partial(write_loop, trials=trials), {"loop": lambda: looping(control, trials)}
+        common.save_results(told, summary, tables, figures, [model_file(model)])
+    common.answer(told, summary, lambda console: show_loop(console, control, known, trials, told.output))
 
 
 EVERY = 10  # of the 101 places
@@ -126,7 +123,6 @@ def _percent(log_error: float) -> str:
 SHARED = Only(("push", "bend", "seconds", "camera", "fps", "tilt", "distance", "sensor"))  # shared by all pushes
 
 Rehearsed = Annotated[str, typer.Argument(metavar="DESIGN")]
-RehearsalFolder = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT")]
 
 
 @dataclass(frozen=True)
@@ -143,39 +139,35 @@ class RehearseOptions:
 def rehearse(
     design: Rehearsed,
     *,
-    output: RehearsalFolder = None,
     asked: RehearseOptions,
     push: Annotated[FilmRequest, SHARED],
     known_to: Tolerances,
-    overwrite: common.Overwrite = False,
-    as_json: common.Json = False,
-    quiet: common.Quiet = False,
+    told: common.AnswerOptions,
 ) -> None:
-    with common.clean_errors():
-        setup = setup_of(
-            known_beam(design),
-            wishes_of(push, asked.at, asked.force, asked.direction),
-            tags=places_of(asked.tags),
-            known_to=known_to,
-        )
-        with (
-            common.place_for(output, rehearsals.REHEARSE_FORMAT, overwrite) as place,
-            common.progress_of(quiet) as progress,
-        ):
-            inputs = () if place is None else inputs_of([Path(design)])
-            found = rehearsals.rehearse(setup, count=asked.count, progress=progress)
-            if place is not None:
-                pictures = draw({"rehearsal": partial(rehearsals.rehearsal_figure, found)})
-                summary = rehearsals.summary_of(found)
-                common.put_results(
-                    place, summary, partial(rehearsals.write_table, rehearsal=found), pictures, inputs=inputs
-                )
-    if as_json:
+    setup = setup_of(
+        known_beam(design),
+        wishes_of(push, asked.at, asked.force, asked.direction),
+        tags=places_of(asked.tags),
+        known_to=known_to,
+    )
+    with (
+        common.place_for(told, rehearsals.REHEARSE_FORMAT) as place,
+        common.progress_of(told.quiet) as progress,
+    ):
+        inputs = () if place is None else inputs_of([Path(design)])
+        found = rehearsals.rehearse(setup, count=asked.count, progress=progress)
+        if place is not None:
+            pictures = draw({"rehearsal": partial(rehearsals.rehearsal_figure, found)})
+            summary = rehearsals.summary_of(found)
+            common.put_results(
+                place, summary, partial(rehearsals.write_table, rehearsal=found), pictures, inputs=inputs
+            )
+    if told.as_json:
         common.print_json(rehearsals.summary_of(found))
         return
     show_rehearsal(common.screen(), found)
-    if output is not None:
-        common.say(f"\nWrote {output}: rehearsal.png, rehearsal.csv, summary.json.")
+    if told.output is not None:
+        common.say(f"\nWrote {told.output}: rehearsal.png, rehearsal.csv, summary.json.")
 
 
 def wishes_of(

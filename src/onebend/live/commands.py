@@ -17,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from onebend import live
-from onebend.cli.common import Json, Quiet, clean_errors, percent, print_json, say, stderr_screen, stopped_by_hand
+from onebend.cli.common import Told, percent, print_json, say, stderr_screen, stopped_by_hand
 from onebend.errors import RecordingError
 from onebend.live.guidance import STAGES, CaptureSettings, CaptureState
 from onebend.options import Only, option
@@ -143,39 +143,35 @@ def record(
     *,
     asked: RecordOptions,
     settings: Capture,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    told: Told,
 ) -> None:
     """Record a push with a camera and a force sensor: guided from rest to rest, with k(s) while it goes on."""
     camera, force, play, like = asked.camera, asked.force, asked.play, asked.like
-    with clean_errors():
-        settings = replace(settings, until=percent(asked.until))
-        if play is not None:
-            if not (folder_of(play) / FILE_NAME).is_file():
-                raise RecordingError(
-                    f"--play {play}: this is no recording, it holds no {FILE_NAME}. A film alone is played by --camera "
-                    "film:FILE, a log by --force log:FILE."
-                )
-            camera, force = camera or f"film:{play}", force or f"log:{play}"
-            like = like if (folder / FILE_NAME).exists() else like or play
-        if camera is None:
+    settings = replace(settings, until=percent(asked.until))
+    if play is not None:
+        if not (folder_of(play) / FILE_NAME).is_file():
             raise RecordingError(
-                "--camera is missing: /dev/video0, or another of docs/record.md; or --play a recording."
+                f"--play {play}: this is no recording, it holds no {FILE_NAME}. A film alone is played by --camera "
+                "film:FILE, a log by --force log:FILE."
             )
-        sources = live.camera_of(camera), None if force in (None, "none") else live.force_of(force)
-        if like is not None:
-            live.copy_description(like, folder)
-        shown = StateView(None if quiet or as_json else stderr_screen(), recording_screen, recording_line)
-        with stopped_by_hand() as (stop, begin), shown as view:
-            clock = live.PlayedClock() if asked.fast else None
-            outcome = live.record(folder, *sources, settings, view.show, stop, begin=begin, clock=clock)
-        if outcome.film is None or outcome.fault:
-            kept = f"The recording up to then is in {folder}." if outcome.film else "Nothing was recorded."
-            if outcome.film is None and not outcome.fault:
-                kept += " To film whatever is wrong with the picture, add --now."
-            why = outcome.why if outcome.why.endswith(("?", ".")) else f"{outcome.why}."
-            raise RecordingError(f"{why} {kept}")
-    if as_json:
+        camera, force = camera or f"film:{play}", force or f"log:{play}"
+        like = like if (folder / FILE_NAME).exists() else like or play
+    if camera is None:
+        raise RecordingError("--camera is missing: /dev/video0, or another of docs/record.md; or --play a recording.")
+    sources = live.camera_of(camera), None if force in (None, "none") else live.force_of(force)
+    if like is not None:
+        live.copy_description(like, folder)
+    shown = StateView(None if told.quiet or told.as_json else stderr_screen(), recording_screen, recording_line)
+    with stopped_by_hand() as (stop, begin), shown as view:
+        clock = live.PlayedClock() if asked.fast else None
+        outcome = live.record(folder, *sources, settings, view.show, stop, begin=begin, clock=clock)
+    if outcome.film is None or outcome.fault:
+        kept = f"The recording up to then is in {folder}." if outcome.film else "Nothing was recorded."
+        if outcome.film is None and not outcome.fault:
+            kept += " To film whatever is wrong with the picture, add --now."
+        why = outcome.why if outcome.why.endswith(("?", ".")) else f"{outcome.why}."
+        raise RecordingError(f"{why} {kept}")
+    if told.as_json:
         print_json(live.outcome_data(outcome))
         return
     say(live.outcome_words(outcome))

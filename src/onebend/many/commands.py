@@ -103,15 +103,13 @@ def batch(
     *,
     output: Results,
     asked: BatchOptions,
-    as_json: common.Json = False,
-    quiet: common.Quiet = False,
+    told: common.Told,
 ) -> None:
-    with common.clean_errors():
-        with common.progress_of(quiet) as progress:
-            outcome = run_batch(source, output, **vars(asked), progress=progress)
-        summary = batches.summary_of(outcome)
-        batches.write_batch(outcome, summary)
-    common.answer(as_json, summary, lambda console: show_batch(console, outcome), output)
+    with common.progress_of(told.quiet) as progress:
+        outcome = run_batch(source, output, **vars(asked), progress=progress)
+    summary = batches.summary_of(outcome)
+    batches.write_batch(outcome, summary)
+    common.answer(told, summary, lambda console: show_batch(console, outcome), output)
 
 
 Batch = Annotated[Path, typer.Argument(metavar="RESULTS")]
@@ -123,14 +121,11 @@ def population(
     *,
     output: PopulationOut,
     setting: population_report.PopulationSettings,
-    overwrite: common.Overwrite = False,
-    as_json: common.Json = False,
-    quiet: common.Quiet = False,
+    told: common.OwnOutput,
 ) -> None:
     with (
-        common.clean_errors(),
-        common.workplace(output, population_report.POPULATION_FORMAT, overwrite) as place,
-        common.progress_of(quiet) as progress,
+        common.workplace(output, population_report.POPULATION_FORMAT, told.overwrite) as place,
+        common.progress_of(told.quiet) as progress,
     ):
         inputs = inputs_of([results / f"{name}.parquet" for name in TABLES])
         found = population_report.population(read_batch(results, setting.by, setting.same), setting)
@@ -139,4 +134,4 @@ def population(
         name = results.resolve().name
         tables = partial(population_report.write_report, outcome=found, figures=pictures.drawn, name=name)
         common.put_results(place, summary, tables, pictures, figures=None, inputs=inputs)
-    common.answer(as_json, summary, lambda console: show_population(console, found, output), output)
+    common.answer(told, summary, lambda console: show_population(console, found, output), output)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from onebend.cli.common import clean_errors, say
+from onebend.cli.common import say
 from onebend.extras import require
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR")]
@@ -19,16 +19,15 @@ NEEDED = ("starlette", "uvicorn", "websockets")
 
 
 def studio(folder: Folder = Path(), *, port: Port = 0, no_open: NoOpen = False) -> None:
-    with clean_errors():
-        require(NEEDED, "studio")
-        from onebend.studio.server import serve  # here: an optional part
+    require(NEEDED, "studio")
+    from onebend.studio.server import serve  # here: an optional part
 
-        def ready(address: str) -> None:
-            say(f"The studio of {folder.resolve()} is at\n\n  {address}\n\nCtrl-C ends it.")
-            if not no_open:
-                Thread(target=_shown, args=(address,), daemon=True).start()  # some browsers block their caller
+    def ready(address: str) -> None:
+        say(f"The studio of {folder.resolve()} is at\n\n  {address}\n\nCtrl-C ends it.")
+        if not no_open:
+            Thread(target=_shown, args=(address,), daemon=True).start()  # some browsers block their caller
 
-        serve(folder, port=port, ready=ready)
+    serve(folder, port=port, ready=ready)
 
 
 def _shown(address: str) -> None:

@@ -15,9 +15,10 @@ import numpy as np
 
 from onebend.cli.common import stopped_by_hand
 from onebend.drive import commands
-from onebend.drive.machine import LED, DriveState
+from onebend.drive.machine import DriveState
 from onebend.drive.plan import DrivePlan, DriveSettings, plan_rows
 from onebend.drive.seeing import BentModel
+from onebend.drive.watching import LED
 from onebend.errors import StudioError
 from onebend.lab.designs import DESIGNS
 from onebend.studio import filming, jobs, looping, recorder
