@@ -2,7 +2,7 @@
 
 The benches are those of `benchmarks.real_bench`. A body without tags has no stiff patches. An outline is 30 points with
 white noise across it, an error that is smooth along the body and slow in time, one that grows with the bending, and
-light from one side. Shares are of places s from 0.05 to 0.9 of the push's place.
+light from one side; with its end where asked for. Shares are of places s from 0.05 to 0.9 of the push's place.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from onebend.live.replayed import replay
 from onebend.pipeline import learn_observed
 from onebend.recording.observe import ObserveSettings, assemble
 from onebend.recording.outline import PLACES
-from onebend.records import POINT_ID, Array, Markers, Observations
+from onebend.records import END_ID, POINT_ID, Array, Markers, Observations
 
-WHITE, SLOW, GROWS, LIGHT = 2e-5, 3e-5, 4e-5, 1e-4  # m, one sd
+WHITE, SLOW, GROWS, LIGHT, END = 2e-5, 3e-5, 4e-5, 1e-4, 2e-4  # m, one sd
 SLOW_TIME, TERMS = 1.0, 6  # s; Legendre polynomials along the body
 KINDS = ("tags", "outline", "both")
 
@@ -59,6 +59,27 @@ def outline_of(made: VirtualRecording, rng: np.random.Generator) -> Markers:
         covariance=np.tile(np.diag(sd**2), (len(time), m, 1, 1)),
         traced=np.ones(m, dtype=bool),
     )
+
+
+def with_end(made: VirtualRecording, outline: Markers, rng: np.random.Generator) -> Markers:
+    """The outline and the body's end, off by one number along the body in all frames."""
+    bench, time, tip = made.bench, made.markers.time, np.ones(1)
+    on_beam = standing(bench.beam, made.force, bench.push.at_s, tip)
+    if made.motion is not None:
+        on_beam = made.motion.poses(time, tip)
+    pose = from_base(on_beam, bench.base)
+    along = np.stack([np.cos(pose[..., 2]), np.sin(pose[..., 2])], axis=-1)
+    sd = END * np.sqrt(len(time)) * np.array([1.0, 1.0, 100.0])
+    end = replace(
+        outline,
+        tag_id=np.array([END_ID]),
+        s=tip,
+        xy=pose[..., :2] + END * rng.standard_normal() * along,
+        angle=pose[..., 2],
+        covariance=np.tile(np.diag(sd**2), (len(time), 1, 1, 1)),
+        traced=np.ones(1, dtype=bool),
+    )
+    return replace(beside(outline, end), traced=np.ones(len(outline.s) + 1, dtype=bool))
 
 
 def beside(tags: Markers, outline: Markers) -> Markers:

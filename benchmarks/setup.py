@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.outline import outline_of, with_end
 from benchmarks.real_bench import bench_of
 from onebend.beam.setup import Renewed, posture_terms
 from onebend.control.reach import reach_in_setup
@@ -37,6 +38,7 @@ from onebend.lab.virtual import (
 from onebend.learning.allowances import POSTURE_SD, SLIDE_SD
 from onebend.learning.instruments import setup_of
 from onebend.learning.posterior import Posterior, fit
+from onebend.recording.observe import ObserveSettings, assemble
 from onebend.records import DIRECTION_SD, GAIN_SD, PLACE_SD, Array
 
 CELLS = ("none", "small", "all")
@@ -45,6 +47,7 @@ STEP = 0.1  # s, of the rod that is bent
 PASSES = 3  # of the force that the true sensor shows
 SPREAD = 0.35  # rad, of the goals' forces about the mean direction of the push
 LEVELS = (0.5, 0.95)
+BARE = ("outline", "end")
 NEW: tuple[Renewed, ...] = ("tool", "sensor")
 
 
@@ -91,13 +94,20 @@ def placed(bench: VirtualBench, seed: int, sd: float) -> VirtualBench:
     return replace(bench, tags=tags, base=(off[0][0], off[0][1], bench.base[2]), declared=said)
 
 
-def learn(cell: str, seed: int, placed_to: float = 0.0) -> Learned:
-    """Make, observe, fit; tags as they are, or `placed_to` [m]."""
+def learn(cell: str, seed: int, placed_to: float = 0.0, bare: str = "") -> Learned:
+    """Make, observe, fit; tags as they are, or `placed_to` [m], or a body as in `BARE`."""
     bench = fixed(bench_of(cell, seed)[0], seed)
     bench = placed(bench, seed, placed_to) if placed_to else bench
+    if bare:
+        bench = replace(bench, effects=replace(bench.effects, patch_factor=1.0))
     made = virtual_recording(bench, seed=seed)
-    seen = observe_virtual(made)
-    turn = float(np.nanmedian(made.markers.angle[seen.frame] - seen.angle))
+    seen, markers = observe_virtual(made), made.markers
+    if bare:
+        markers = outline_of(made, np.random.default_rng([seed, 5]))
+        markers = with_end(made, markers, np.random.default_rng([seed, 55])) if bare == "end" else markers
+        described = replace(made.recording, tags=replace(made.recording.tags, on_beam=()))
+        seen = assemble(described, markers, made.log, None, ObserveSettings())
+    turn = float(np.nanmedian(markers.angle[seen.frame] - seen.angle))
     return Learned(cell, seed, bench, made, turn, fit([seen], gain_sd=bench.declared.gain_sd))
 
 
@@ -192,11 +202,11 @@ def led(one: Learned, *, with_new: bool = True, tag: bool = False) -> list[Led]:
     return out
 
 
-def run(cell: str, seed: int, placed_to: float = 0.0, tag: bool = False) -> list[Led] | str:
+def run(cell: str, seed: int, placed_to: float = 0.0, tag: bool = False, bare: str = "") -> list[Led] | str:
     """One bench; why not, where it cannot be made, learned or bent."""
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     try:
-        return led(learn(cell, seed, placed_to), tag=tag)
+        return led(learn(cell, seed, placed_to, bare), tag=tag)
     except (ControlError, LearningError, MechanicsError, ObservationError) as wrong:
         return f"{cell} {seed}: {type(wrong).__name__}: {wrong}"
 
@@ -221,11 +231,13 @@ def main() -> None:
     parser.add_argument("--cells", nargs="*", default=CELLS, choices=CELLS, help="effects")
     parser.add_argument("--placed-mm", type=float, default=0.0, help="place all tags so well, and state it")
     parser.add_argument("--tag", action="store_true", help="lead the last tag in place of the tip")
+    parser.add_argument(
+        "--bare", default="", choices=BARE, help="no tags on the body: its outline, without its end or with"
+    )
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     asked = parser.parse_args()
-    wanted = [
-        (cell, asked.first + i, 1e-3 * asked.placed_mm, asked.tag) for cell in asked.cells for i in range(asked.runs)
-    ]
+    benches = [(cell, asked.first + i) for cell in asked.cells for i in range(asked.runs)]
+    wanted = [(*one, 1e-3 * asked.placed_mm, asked.tag, asked.bare) for one in benches]
     goals: list[Led] = []
     with ProcessPoolExecutor(asked.jobs) as pool:
         for found in pool.map(run, *zip(*wanted, strict=True)):

@@ -165,6 +165,14 @@ def end_with_parent() -> None:
     threading.Thread(target=_end_after, args=(parent_process(),), daemon=True).start()
 
 
+def own_process() -> ProcessPoolExecutor:
+    """A pool of one process, begun at its first work, which ends with this one."""
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    return ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=end_with_parent)
+
+
 def end_now(pool: ProcessPoolExecutor) -> None:
     """End the pool, whatever its processes are at. It is waited for: a pool that is just ending while the interpreter
     does may print a traceback."""

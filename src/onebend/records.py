@@ -53,6 +53,7 @@ StiffnessAlong = Literal["unknown", "even", "section"]
 SectionShapeName = Literal["rectangle", "circle", "tube", "hexagon", "second moment"]
 
 POINT_ID = 100_000  # and a thousand times s: the ids of an outline's points, for no family has so many tags
+END_ID = POINT_ID + 1000  # the body's end: of it the place along the body counts, of other points that across it
 PLACE_SD = 2.5e-3  # m, along the beam, of a push placed by hand
 GAIN_SD = 0.02  # of a force sensor's scale, where nobody states it
 TURN_SD = math.radians(1.5)  # of a tag on the beam, put on by hand
@@ -401,6 +402,8 @@ def tags_among(seen: Markers | Observations) -> BoolArray:
 
 def marker_words(number: int, s: float) -> str:
     """A tag by its id in `recording.toml`, a point of the outline by its place."""
+    if number == END_ID:
+        return "the body's end"
     return f"tag {number}" if number < POINT_ID else f"the outline at s = {s:.2g}"
 
 
@@ -409,7 +412,7 @@ FEW = 6  # points of an outline that are read where there are no tags
 
 def read_before_fit(seen: Markers | Observations) -> IntArray:
     """The markers that everything but the fit reads: the tags, or some points of the outline where there are none."""
-    tags, m = np.flatnonzero(tags_among(seen)), seen.xy.shape[1]
+    tags, m = np.flatnonzero(tags_among(seen)), int(np.sum(seen.tag_id != END_ID))  # which is the last
     if len(tags) or m <= FEW:
         return tags if len(tags) else np.arange(m)
     return np.linspace(0, m - 1, FEW + 1).round().astype(np.int64)[1:]

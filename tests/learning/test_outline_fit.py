@@ -11,9 +11,12 @@ from onebend.learning.condensed import white_share
 from onebend.learning.fit_data import fit_data
 from onebend.learning.frames import of_tags, pose_whitening, read_alone, with_seen_tags
 from onebend.learning.instruments import instruments_of, setup_of
+from onebend.learning.optimizer import FitSettings
 from onebend.learning.parameters import Spline
 from onebend.learning.posterior import fit
-from onebend.records import Array, Observations, Remark, read_before_fit
+from onebend.live.hyperparameters import OnlineSettings
+from onebend.live.replayed import replay
+from onebend.records import END_ID, Array, Observations, Remark, left_of, read_before_fit, unit
 from tests.learning.bench import IDEAL, SOFT, forces, observed
 from tests.made_up import with_source
 
@@ -44,6 +47,27 @@ def traced(slipped: float = 0.0, seed: int = 0) -> Observations:
         rest_angle=np.zeros(m),
         rest_covariance=np.tile(covariance, (m, 1, 1)) / 30.0,
         traced=np.ones(m, dtype=bool),
+    )
+
+
+def with_end(off: float = 0.0) -> Observations:
+    """The same and the body's end, `off` m beyond the tip."""
+    one, force, end = traced(), forces(60), np.ones(1)
+    shape = SOFT.equilibrium(force, 1.0)
+    angle = shape.angle(end)
+    rest = np.array([[SOFT.length + off, 0.0]])
+    sd = np.diag([1e-3, 1e-3, 1.0])
+    return replace(
+        one,
+        tag_id=np.append(one.tag_id, END_ID),
+        marker_s=np.append(one.marker_s, 1.0),
+        xy=np.concatenate([one.xy, shape.xy(end) + off * unit(angle)], axis=1),
+        angle=np.concatenate([one.angle, angle], axis=1),
+        covariance=np.concatenate([one.covariance, np.tile(sd**2, (len(force), 1, 1, 1))], axis=1),
+        rest_xy=np.concatenate([one.rest_xy, rest]),
+        rest_angle=np.append(one.rest_angle, 0.0),
+        rest_covariance=np.concatenate([one.rest_covariance, sd[None] ** 2]),
+        traced=np.ones(len(S) + 1, dtype=bool),
     )
 
 
@@ -107,6 +131,24 @@ def test_without_tags_few_points_stand_for_the_outline() -> None:
     assert len(few.tag_id) == 6
     assert read_alone(few) is few
     assert read_before_fit(few).tolist() == list(range(6))
+
+
+def test_the_end_of_the_body_counts_along_it_and_tells_its_length() -> None:
+    """One millimetre beyond the tip is a longer beam; one beside it is nothing."""
+    longer, beside = with_end(1e-3), with_end()
+    beside.xy[:, -1] += 1e-3 * left_of(unit(beside.angle[:, -1]))
+    found = [fit([one], settings=FitSettings(allowances=frozenset({"length"}))).nuisances() for one in (longer, beside)]
+    by, not_by = (next(one for one in each if one.name == "log of length") for each in found)
+    assert 0.3e-3 < SOFT.length * by.value < 1.1e-3
+    assert by.sd < 0.5 * by.prior_sd
+    assert abs(SOFT.length * not_by.value) < 0.1e-3
+
+
+def test_only_the_fit_reads_the_end_of_the_body() -> None:
+    one = with_end()
+    assert END_ID not in read_alone(one).tag_id
+    live = [replay(each, 0.03, settings=OnlineSettings(functions=12)).stiffness for each in (one, traced())]
+    np.testing.assert_array_equal(live[0].log_at(S)[0], live[1].log_at(S)[0])
 
 
 def test_beside_tags_the_set_up_and_the_planner_speak_of_the_tags() -> None:

@@ -22,6 +22,8 @@ from tests.recording.filmed import HEIGHT, LENGTH, WIDTH, corners_of, detections
 BODY, GROUND, WALL = (200.0, 118.0, 136.0), (110.0, 131.0, 125.0), (140.0, 122.0, 133.0)
 VIEW = view(dist=(-0.05, 0.02, 0.0, 0.0, 0.0))
 SAMPLES = 2  # of a pixel's side
+_ROWS, _COLUMNS = (((np.arange(SAMPLES * n) + 0.5) / SAMPLES - 0.5) for n in (HEIGHT, WIDTH))
+PLANE = to_plane(VIEW, np.stack(np.meshgrid(_COLUMNS, _ROWS), axis=-1).reshape(-1, 2))  # m, of a picture's samples
 
 
 def bends(count: int = 8, most: float = 0.25) -> Array:
@@ -47,19 +49,17 @@ def painted(
     bend: float, *, wall: float = 0.0, ends: float = 1.0, rim: float = 0.0, noise: float = 1.5, seed: int = 0
 ) -> Planes:
     """A picture of the body up to s = `ends`, with a wall of this width [m] on its left, blurred by a pixel; the outer
-    quarter of its width is darker by `rim`."""
-    offsets = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
-    rows = np.add.outer(np.arange(HEIGHT), offsets).ravel()
-    columns = np.add.outer(np.arange(WIDTH), offsets).ravel()
-    xy = to_plane(VIEW, np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2))
+    two fifths of its width are darker by `rim`."""
     s = np.linspace(0.0, ends, 600)
     middle, angle = line(bend, s)
-    distance, best = cKDTree(middle).query(xy, distance_upper_bound=0.015)
+    distance, best = cKDTree(middle).query(PLANE, distance_upper_bound=0.015)
     best = np.minimum(best, len(s) - 1)
     normal = np.stack([-np.sin(angle[best]), np.cos(angle[best])], axis=1)
-    across, along = np.sum((xy - middle[best]) * normal, axis=1), s[best]
-    beside = np.isfinite(distance) & (np.abs(distance - np.abs(across)) < 1e-4)  # not beyond an end
-    colour = np.tile(GROUND, (len(xy), 1))
+    off = PLANE - middle[best]
+    across, along = np.sum(off * normal, axis=1), s[best]
+    ahead = off[:, 0] * normal[:, 1] - off[:, 1] * normal[:, 0]
+    beside = np.isfinite(distance) & (np.abs(ahead) < 0.6 * ends * LENGTH / len(s))  # not beyond an end
+    colour = np.tile(GROUND, (len(PLANE), 1))
     colour[beside & (across > 0.0) & (across < half_width(along) + wall)] = WALL if wall else BODY
     colour[beside & (np.abs(across) < half_width(along))] = BODY
     colour[beside & (np.abs(np.abs(across) / half_width(along) - 0.8) < 0.2), 0] -= rim

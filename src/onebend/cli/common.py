@@ -342,11 +342,9 @@ def facts_table() -> Table:
     return Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
 
 
-def listing(title: str | None, *columns: str, gap: int = 1) -> Table:
-    """A table without lines. Columns whose head begins with `<` hold text, the others numbers. A `gap` of 2 begins at
-    the edge."""
-    tight: dict[str, Any] = {} if gap == 1 else {"pad_edge": False, "padding": (0, gap, 0, 0)}
-    table = Table(title=title, title_justify="left", box=None, **tight)
+def listing(title: str | None, *columns: str) -> Table:
+    """A table without lines. Columns whose head begins with `<` hold text, the others numbers."""
+    table = Table(title=title, title_justify="left", box=None)
     for name in columns:
         if name.startswith("<"):
             table.add_column(escape(name[1:]), overflow="fold")

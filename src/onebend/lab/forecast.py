@@ -397,7 +397,6 @@ LIMITS = planning.Limits()  # tip turn at most 90 deg; bending at most 1.25 time
 BETTER = 5.0  # factor of improvement of a placement or sensor
 GAIN_SD = 0.01  # after calibration with a weight
 SYNCHRONISED = 0.005  # s
-GAP = 0.1  # in s: a wider gap gets a tag in its middle
 APART = 0.15  # in s: closer pushes count as one
 LEAST_SHARE = 0.01  # smallest reduction worth advising
 _SENSOR_SIZES = ("white_sd", "coloured_sd", "drift", "reversal", "gain_sd", "quantum")
@@ -443,10 +442,10 @@ Candidate = tuple[str, str, Setup]
 
 
 def _tags(setup: Setup) -> Iterator[Candidate]:
-    edges = np.concatenate([[0.0], np.sort(setup.tags)])
-    places = 0.5 * (edges[1:] + edges[:-1])[np.diff(edges) > GAP]
-    for s in [*places.tolist(), *([1.0] if edges[-1] < 1.0 - GAP else [])]:
+    places = planning.gaps(setup.tags)
+    for s in places.tolist():
         yield "tag", f"one more tag at s = {s:.2f}", replace(setup, tags=tuple(sorted((*setup.tags, round(s, 3)))))
+    places = places[places < 1.0]
     if len(places) > 1:
         more = tuple(sorted((*setup.tags, *(round(float(s), 3) for s in places))))
         yield "tag", f"{len(places)} more tags, in the middle of every gap", replace(setup, tags=more)

@@ -330,6 +330,7 @@ def _softness(beam: Beam, at_s: float) -> float:
 
 
 PLACES = np.linspace(0.0, 1.0, 101)  # where the band is looked at
+_GAP = 0.1  # in s: a wider gap between tags gets one in its middle
 
 
 @dataclass(frozen=True)
@@ -491,13 +492,14 @@ def _thoughts(
     for candidate in track(progress, "trying pushes", candidates, len(candidates)):
         # a push that was made once stands on its way there, but perhaps not when it grows straight
         with suppress(MechanicsError):
-            yield tag_derivatives(beam, bench, candidate, uncertain.basis, _gaps(bench))
+            yield tag_derivatives(beam, bench, candidate, uncertain.basis, gaps(bench.tags))
 
 
-def _gaps(bench: Instruments) -> Array:
-    edges = np.concatenate([[0.0], np.sort(bench.tags)])
-    middles = 0.5 * (edges[1:] + edges[:-1])[np.diff(edges) > 0.1]
-    return np.append(middles, 1.0) if edges[-1] < 0.9 else middles
+def gaps(tags: tuple[float, ...]) -> Array:
+    """s, the middles of wide gaps between tags, and a tip without one."""
+    edges = np.concatenate([[0.0], np.sort(tags)])
+    middles = 0.5 * (edges[1:] + edges[:-1])[np.diff(edges) > _GAP]
+    return np.append(middles, 1.0) if edges[-1] < 1.0 - _GAP else middles
 
 
 def _propose(seen: TagDerivatives, now: _Known, bench: Instruments, more: int | None = None) -> Proposal:

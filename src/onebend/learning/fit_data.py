@@ -21,7 +21,16 @@ from onebend.learning.parameters import NEEDS_MASS, KnownShape, Spline, curvatur
 from onebend.learning.static_poses import HeldEnds, SeenPoses, held_ends, resolution_of, seen_poses
 from onebend.recording.signals import low_pass, nan_median
 from onebend.recording.tracks import chord_angles
-from onebend.records import Array, BoolArray, IntArray, Observations, covariance_with_camera, rotated, tags_among
+from onebend.records import (
+    END_ID,
+    Array,
+    BoolArray,
+    IntArray,
+    Observations,
+    covariance_with_camera,
+    rotated,
+    tags_among,
+)
 
 # The beam at rest: natural curvature and mounting errors of the tags, separated by their priors. A mounting error turns
 # with the beam, so it is subtracted in the tag's own frame.
@@ -259,7 +268,7 @@ def fit_data(
         weights = np.vstack([weights, np.zeros(weights.shape[1])])
         other = rested(other)
     tags, across = tags_among(o), np.zeros((*measured.shape[:2], 2))
-    direction = np.nan_to_num(measured[:, ~tags, 2])
+    direction = np.nan_to_num(measured[:, ~tags, 2]) - 0.5 * np.pi * (o.tag_id[~tags] == END_ID)
     across[:, ~tags] = np.stack([-np.sin(direction), np.cos(direction)], axis=-1)
     measured[:, ~tags, 2] = np.nan
     whiten = pose_whitening(o, measured, covariance, across)

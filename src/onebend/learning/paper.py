@@ -172,17 +172,15 @@ def literal_rows(rows: MomentRows, use: BoolArray, pi: Array) -> tuple[Array, Ar
     return x, (rows.load[use] @ to_legendre).ravel()
 
 
-def weighted(
-    rows: MomentRows, use: BoolArray, pi: Array, *, force_sd: Array, tag_noise: float = 1.0, rounds: int = 8
-) -> tuple[Array, float]:
+def weighted(rows: MomentRows, use: BoolArray, pi: Array, *, force_sd: Array, rounds: int = 8) -> tuple[Array, float]:
     """gamma (m,) with each frame's rows weighted by the covariance that noise gives them; and the condition of X.
 
     The covariance depends on gamma through the tangent, so a few rounds of reweighting are made from a start that
-    uses the load's noise alone. `tag_noise` scales the states' covariance.
+    uses the load's noise alone.
     """
     elastic, load = rows.elastic[use] @ pi, rows.load[use]
     jacobian, geometric = rows.load_per_force[use], rows.geometric[use]
-    spread = tag_noise**2 * rows.states.covariance[use]
+    spread = rows.states.covariance[use]
     phi = rows.states.modes.curvature(_GRID.nodes)
     from_force = (jacobian * force_sd**2) @ np.swapaxes(jacobian, 1, 2)
     gamma, condition = _orthogonal(elastic.reshape(-1, pi.shape[1]), load.ravel())

@@ -9,12 +9,12 @@ import numpy as np
 from onebend.beam.stiffness import Profile, UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.force_error import ForceError, force_error, ramp
-from onebend.learning.frames import push_places, usable_frames
+from onebend.learning.frames import of_tags, push_places, usable_frames
 from onebend.learning.parameters import STATED_ERRORS, Spline, make_layout
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.learner import OnlineLearner
 from onebend.progress import one_blas_thread
-from onebend.records import Array, BoolArray, Observations, covariance_with_camera
+from onebend.records import END_ID, Array, BoolArray, Observations, covariance_with_camera
 
 _MARGIN = 0.2  # s, kept away from contact when the rests are read
 _REST_STEP = 0.05  # s, between two looks at the log where no film was made
@@ -37,7 +37,7 @@ def replay(
     Raises:
         LearningError: as `OnlineLearner`, or masses ride on the beam, which it does not know.
     """
-    o = observations
+    o = of_tags(observations, observations.tag_id != END_ID)  # what is along an outline is not read live
     if o.stated.masses and np.any(o.gravity != 0.0):
         text = f"{o.source.name}: the live learner knows nothing of masses that ride on the beam"
         raise LearningError(f"{text} ([[beam.masses]]). Learn the recording as a whole")

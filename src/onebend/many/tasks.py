@@ -9,12 +9,11 @@ import time
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures import BrokenExecutor, CancelledError, ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
-from multiprocessing import get_context
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -28,7 +27,7 @@ from onebend.files.single_file import write_file
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import Nuisance
 from onebend.pipeline import Run, learn
-from onebend.progress import available_cores, end_now, end_with_parent, interrupts_held
+from onebend.progress import available_cores, end_now, interrupts_held, own_process
 from onebend.record_data import record_from, to_data
 from onebend.recording.entries import Recording
 from onebend.recording.folder import FILE_NAME, HOMES, folder_of, read_recording
@@ -374,7 +373,7 @@ def results_of(
     if count == 1:
         yield from ((i, work(item, settings)) for i, item in enumerate(items))
         return
-    over, pools = threading.Event(), [_process() for _ in range(count)]
+    over, pools = threading.Event(), [own_process() for _ in range(count)]
     idle = SimpleQueue[int]()
 
     def result(item: Item) -> ItemResult:
@@ -385,7 +384,7 @@ def results_of(
                     return pools[number].submit(work, item, settings).result()
                 if over.is_set():
                     break
-                pools[number] = _process()
+                pools[number] = own_process()
         finally:
             idle.put(number)
         return ItemResult("", True, "the processes that learned from it ended: too little memory?")
@@ -403,10 +402,6 @@ def results_of(
         threads.shutdown(wait=False, cancel_futures=True)
         for pool in pools:
             end_now(pool)
-
-
-def _process() -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=end_with_parent)
 
 
 # Tasks on a Dask cluster, whose machines see all folders under the same paths.

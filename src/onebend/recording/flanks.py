@@ -171,6 +171,7 @@ SIDE = 3.0  # px: means over so much to either side of an edge tell how large it
 REACH = 6.0  # px: an edge is looked for so far from where it is expected
 MOST = 8.0  # sds of the body's colour
 LEAST = 4.0  # of them: a smaller step is no edge
+NEAR = 2.0  # px: one sd of where an edge is expected in a straightened picture
 NEIGHBOURS = 15  # stations, whose median a place is compared with
 SIDES: Array = np.array([1.0, -1.0])  # left and right of the body's direction
 OUT = np.arange(-REACH - 2.0 * SIDE, REACH + 2.0 * SIDE + 0.5 * STEP, STEP)  # (J,) px outward from an expected flank
@@ -242,6 +243,28 @@ def sides_of(colour: NDArray[np.float32], at: IntArray) -> tuple[NDArray[np.floa
         total[..., first + shift : last + shift, :] for shift in (-SAMPLES_ASIDE, 0, 1, 1 + SAMPLES_ASIDE)
     )
     return here - before, after - beyond
+
+
+def step_size(colour: NDArray[np.float32], at: IntArray, pixel_sd: Array) -> NDArray[np.float32]:
+    """(..., j) sds by which colours (..., J, 3) differ on both sides of the samples `at` (j,)."""
+    inside, outside = sides_of(colour, at)
+    step = (outside - inside) / pixel_sd.astype(np.float32)
+    return np.asarray(np.sqrt(np.einsum("...c,...c->...", step, step)))
+
+
+def edges_near(colour: NDArray[Any], expected: Array, least: Array, pixel_sd: Array, *, fine: bool = True) -> Array:
+    """(2, M) samples outward of the edges near the `expected` (2, M) in one straightened picture (2, M, J, 3); NaN
+    where none is as large as `least` (2, M), in sds of a colour. Not `fine`: to a sample."""
+    first = np.rint(expected).astype(np.int64)
+    window = np.clip(first[..., None] + np.arange(len(OUT)) - len(OUT) // 2, 0, colour.shape[2] - 1)
+    rows = np.arange(first.size).reshape(*first.shape, 1) * colour.shape[2]
+    near = colour.reshape(-1, 3).take(rows + window, axis=0).astype(np.float32)
+    size = step_size(near, MIDDLE, pixel_sd)
+    off = (OUT[MIDDLE] - STEP * (expected - first)[..., None]).astype(np.float32) / NEAR
+    best = np.argmax(size * np.exp(-0.5 * off**2), axis=2)
+    place = edge_place(near, MIDDLE[best], pixel_sd) if fine else OUT[MIDDLE[best]]
+    clear = (np.take_along_axis(size, best[..., None], axis=2)[..., 0] >= least) & (np.abs(place) < REACH)
+    return np.asarray(np.where(clear, first + place / STEP, np.nan))
 
 
 def unlike(colour: NDArray[np.float32], body: Array, look: Look) -> Array:

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +20,10 @@ from scipy.ndimage import maximum_filter1d
 
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, track
-from onebend.recording import camera, entries, flanks, plane, video
+from onebend.recording import body_end, camera, entries, flanks, plane, video
 from onebend.recording.signals import MAD_TO_SD, correlation_time, nan_mean, nan_median, running_median
 from onebend.recording.tags import in_order
-from onebend.records import Array, BoolArray, IntArray, Markers, OutlineTrack, Remark, View, left_of, unit
+from onebend.records import END_ID, Array, BoolArray, IntArray, Markers, OutlineTrack, Remark, View, left_of, unit
 
 # The film: each picture is searched near where the two before predict the body.
 
@@ -150,7 +151,6 @@ UNEQUAL_COST = 2.0  # of a clear edge, over its square
 PAIRED = 3  # samples, by which both edges may be off such a place
 BARRED = 1e3  # of clear edges: what no line takes
 STAYS = 0.4  # of its usual size, at least, that a lasting edge has in one picture
-NEAR = 2.0  # px: one sd of where it is expected there
 _NO_EDGES = "no two edges of a body move with the tags"
 
 
@@ -222,7 +222,7 @@ def lasting_edges(seen: Straightened, hidden: BoolArray, pixel_sd: Array) -> tup
         raise ObservationError(_NO_EDGES, about="outline")
     chosen = known[np.unique(np.linspace(0, len(known) - 1, LOOKED_AT).astype(int))]
     at = np.arange(flanks.SAMPLES_ASIDE, seen.colour.shape[-2] - flanks.SAMPLES_ASIDE)
-    size = np.median([step_size(seen.colour[one].astype(np.float32), at, pixel_sd) for one in chosen], axis=0)
+    size = np.median([flanks.step_size(seen.colour[one].astype(np.float32), at, pixel_sd) for one in chosen], axis=0)
     shown = np.where(hidden[:, None], 0.0, size)
     usual = np.median(shown[:, ~hidden].max(axis=2), axis=1)[:, None, None]
     worth = np.minimum(shown / np.maximum(usual, 1.0), 1.0)
@@ -264,30 +264,6 @@ def best_line(worth: Array) -> IntArray:
     return np.array(line[::-1])
 
 
-def step_size(colour: NDArray[np.float32], at: IntArray, pixel_sd: Array) -> NDArray[np.float32]:
-    """(..., j) sds by which colours (..., J, 3) differ on both sides of the samples `at` (j,)."""
-    inside, outside = flanks.sides_of(colour, at)
-    step = (outside - inside) / pixel_sd.astype(np.float32)
-    return np.asarray(np.sqrt(np.einsum("...c,...c->...", step, step)))
-
-
-def edges_near(
-    colour: NDArray[np.uint8], expected: Array, least: Array, pixel_sd: Array, *, fine: bool = True
-) -> Array:
-    """(2, M) samples outward of the edges near the `expected` (2, M) in one straightened picture (2, M, J, 3); NaN
-    where none is as large as `least` (2, M), in sds of a colour. Not `fine`: to a sample."""
-    first = np.rint(expected).astype(np.int64)
-    window = np.clip(first[..., None] + np.arange(len(flanks.OUT)) - len(flanks.OUT) // 2, 0, colour.shape[2] - 1)
-    rows = np.arange(first.size).reshape(*first.shape, 1) * colour.shape[2]
-    near = colour.reshape(-1, 3).take(rows + window, axis=0).astype(np.float32)
-    size = step_size(near, flanks.MIDDLE, pixel_sd)
-    off = (flanks.OUT[flanks.MIDDLE] - flanks.STEP * (expected - first)[..., None]).astype(np.float32) / NEAR
-    best = np.argmax(size * np.exp(-0.5 * off**2), axis=2)
-    place = flanks.edge_place(near, flanks.MIDDLE[best], pixel_sd) if fine else flanks.OUT[flanks.MIDDLE[best]]
-    clear = (np.take_along_axis(size, best[..., None], axis=2)[..., 0] >= least) & (np.abs(place) < flanks.REACH)
-    return np.asarray(np.where(clear, first + place / flanks.STEP, np.nan))
-
-
 def with_tags(
     sights: Iterable[flanks.Sight], stations: flanks.Stations, hidden: BoolArray, tags: Markers
 ) -> tuple[OutlineSearch, Array]:
@@ -303,11 +279,11 @@ def with_tags(
             found.append(np.full(place.shape, np.nan))
             continue
         sd = flanks.MEASURED * float(np.median(sample)) / flanks.STEP
-        coarse = np.where(hidden, np.nan, edges_near(colour, place.astype(float), least, pixel_sd, fine=False))
+        coarse = np.where(hidden, np.nan, flanks.edges_near(colour, place.astype(float), least, pixel_sd, fine=False))
         smooth = stations.fitted(state, flanks.SIDES[:, None] * (coarse - place) * sample, sd)
         expected = place + flanks.SIDES[:, None] * (stations.across(stations.curve(state)) @ (smooth - state)) / sample
-        away = np.where(hidden, np.nan, edges_near(colour, expected, least, pixel_sd))
-        away = np.where(np.abs(away - expected) * flanks.STEP < NEAR, away, np.nan)
+        away = np.where(hidden, np.nan, flanks.edges_near(colour, expected, least, pixel_sd))
+        away = np.where(np.abs(away - expected) * flanks.STEP < flanks.NEAR, away, np.nan)
         found.append(flanks.SIDES[:, None] * away * sample)
     away, half = np.stack(found), 0.5 * place.sum(axis=0) * np.median(seen.sample, axis=0)
     if np.isfinite(away[:, :, ~hidden]).mean() < LEAST_SEEN:
@@ -400,33 +376,74 @@ def outline_track(
     known = np.isfinite(shift[:, 0])
     shift = np.stack([np.interp(np.arange(len(shift)), np.flatnonzero(known), one[known]) for one in shift.T], axis=1)
     wanted = {int(frame): row for row, frame in enumerate(frames)}
+    looked = np.unique(np.linspace(0, len(frames) - 1, body_end.PICTURES).astype(int))
+    at_end: dict[int, flanks.Sight] = {}
 
     def sights() -> Iterator[flanks.Sight]:
         assert rec.video is not None
         for index, _, raw in track(progress, "Following the outline", video.timed(rec.video), len(frames)):
             if kept is not None and not rec.video.topic:
                 kept.keep(rec.video, index, raw)
-            if index in wanted:
-                yield flanks.Sight(flanks.planes_of(rec, index, raw), view, shift[wanted[index]])
+            if (row := wanted.get(index)) is not None:
+                sight = flanks.Sight(flanks.planes_of(rec, index, raw), view, shift[row])
+                if row in looked and not place.hidden[-1]:
+                    at_end[row] = sight
+                yield sight
 
     if tags is not None:
         found, half = with_tags(sights(), place.stations, place.hidden, tags)
     else:
         found, half = (each_alone if apart else follow)(sights(), place)
-    return track_of(place, found, half, shift)
+    return track_of(place, found, half, shift, at_end)
 
 
-def track_of(place: flanks.BodyPlace, found: OutlineSearch, half: Array, shift: Array) -> OutlineTrack:
+def track_of(
+    place: flanks.BodyPlace,
+    found: OutlineSearch,
+    half: Array,
+    shift: Array,
+    at_end: Mapping[int, flanks.Sight] = MappingProxyType({}),
+) -> OutlineTrack:
     """The centreline of the body whose flanks were found in T pictures that lie `shift` (T, 2) px off the view's;
-    `half` (M,) m of its width in the first of them.
+    `half` (M,) m of its width in the first of them. The body's end is looked for in the pictures `at_end`, by their
+    numbers among the T.
 
     Raises:
         ObservationError: what was followed is no body of one width from clamp to tip.
     """
     middle = centreline(found, place.stations, half, flanks.MEASURED / place.scale)
     refuse_lost(middle, found, ~place.hidden, place.name)
-    points = points_of(middle, found, place.stations, place.view, shift, place.scale)
-    return replace(often_seen(points), remarks=lost_remarks(found))
+    points = often_seen(points_of(middle, found, place.stations, place.view, shift, place.scale))
+    return replace(with_end(points, middle, place, shift, at_end), remarks=lost_remarks(found))
+
+
+def with_end(
+    points: OutlineTrack, middle: Middle, place: flanks.BodyPlace, shift: Array, at_end: Mapping[int, flanks.Sight]
+) -> OutlineTrack:
+    """The points and, where it is seen `at_end`, the body's end, as one more at s = 1: it is the same place of the body
+    in all T pictures, whatever lies over it in some."""
+    stations, shown = place.stations, np.asarray(np.isfinite(middle.away).any(axis=1))
+    ends = [body_end.last_point(stations.curve(state)) for state in middle.state]
+    looked = [row for row in at_end if shown[row]]
+    if not looked:
+        return points
+    width = float(middle.width[-1])
+    beyond = body_end.body_end([at_end[i] for i in looked], [ends[i] for i in looked], stations.length, width)
+    seen = np.isfinite(beyond)
+    if not seen.any():
+        return points
+    tip, along = np.concatenate([end.xy for end in ends]), unit(np.concatenate([end.angle for end in ends]))
+    tip = tip + np.interp(np.arange(len(tip)), np.array(looked)[seen], beyond[seen])[:, None] * along
+    ahead = tip + 0.5 / POINTS * stations.length * along
+    px, ahead = (plane.project(place.view, at)[:, None] + shift[:, None] for at in (tip, ahead))
+    sd = np.where(shown, END_SD * place.scale * np.sqrt(shown.sum()), np.nan)  # alike in all pictures
+    return replace(
+        points,
+        s=np.append(points.s, 1.0),
+        px=np.concatenate([points.px, px], axis=1),
+        ahead=np.concatenate([points.ahead, ahead], axis=1),
+        sd=np.column_stack([points.sd, sd]),
+    )
 
 
 # Beside tags the outline is used only where it agrees with them. A tag may sit beside the middle of the body, by its
@@ -510,7 +527,7 @@ def left_out(why: str) -> Remark:
 def contradicted(both: Markers, rec: entries.Recording) -> str:
     """Where the outline contradicts the tags, in words; "" where it does not, or there are none between its points."""
     assert both.traced is not None
-    points = np.flatnonzero(both.traced)
+    points = np.flatnonzero(both.traced & (both.tag_id != END_ID))
     for tag in np.flatnonzero(~both.traced).tolist():
         before, after = points[both.s[points] < both.s[tag]], points[both.s[points] > both.s[tag]]
         if not len(before) or not len(after):
@@ -587,6 +604,7 @@ def lost_remarks(found: OutlineSearch) -> tuple[Remark, ...]:
     return (Remark("note", text),) if lost else ()
 
 
+END_SD = 2e-4  # m, of the end that is seen from that which `length_m` means: a cut is not square, a rim is round
 SHARED = 2.0  # sds of what both flanks show: light, walls and blur shift both alike, which their distance hides
 
 

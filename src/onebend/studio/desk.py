@@ -7,10 +7,9 @@ import asyncio
 import contextlib
 import itertools
 import json
-import multiprocessing
 import sys
 from collections.abc import Awaitable, Callable
-from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -20,7 +19,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 import onebend
 from onebend.crash import kept, tell, words
 from onebend.errors import OnebendError, StudioError
-from onebend.progress import end_now, end_with_parent
+from onebend.progress import end_now, own_process
 from onebend.studio.filming import RecorderProcess
 from onebend.studio.jobs import Jobs
 from onebend.studio.places import StudioFolder
@@ -77,18 +76,13 @@ class Desk:
         self.recorder = RecorderProcess(lambda message, passing: self.tell(message, passing=passing))
         self.beams: dict[str, Bending] = {}
         self.thread = ThreadPoolExecutor(1, "bend")  # beams are for one thread
-        self.beside = self._process()
+        self.beside = own_process()
         self._wanted: dict[str, tuple[int, int, list[float]]] = {}  # by model: tab, number, goal
         self._drags = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
         self._busy: set[str] = set()  # models whose hand's edge is being computed
         self._moves: dict[str, int] = {}
         self._last_state = ("", False)
-
-    @staticmethod
-    def _process() -> ProcessPoolExecutor:
-        context = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent)
 
     def begin(self) -> None:
         """Loads the mechanics while the page is already shown."""
@@ -217,7 +211,7 @@ class Desk:
         try:
             return await asyncio.get_running_loop().run_in_executor(self.beside, work, *arguments)
         except BrokenExecutor:
-            self.beside = self._process()
+            self.beside = own_process()
             raise StudioError("the process that makes maps ended. Try again") from None
 
     async def reach(self, beam: str, push_s: float, point_s: float, most: float) -> dict[str, Any]:
