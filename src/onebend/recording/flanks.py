@@ -7,7 +7,7 @@ whose place and direction the base tag says, to its tip.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -187,8 +187,8 @@ class Look:
     """How the body's colour varies within itself."""
 
     sd: Array  # (3,) of the mean over `SIDE`
-    rim: Array  # (2, 1, 3) colour just inside the left and the right flank, less that of the middle
     pixel_sd: Array  # (3,) of one sample
+    rim: Array = field(default_factory=lambda: np.zeros(3))  # (2, 1, 3) colour just inside a flank, less the middle's
 
 
 @dataclass(frozen=True)
@@ -403,7 +403,7 @@ def appearance(sight: Sight, curve: Curve, half: Array, part: BoolArray, step: f
     inside = sight.planes.at(sight.pixels(curve.xy[part]) + near[..., None] * normal)
     rim = nan_median(inside - np.median(colour, axis=1), axis=1)
     rim[~(np.linalg.norm(rim, axis=1) < RIM_SHARE * step)] = 0.0
-    return Look(np.maximum(spread, least), rim[:, None], np.maximum(pixel, 1.0))
+    return Look(np.maximum(spread, least), np.maximum(pixel, 1.0), rim[:, None])
 
 
 def grown(sight: Sight, place: BodyPlace, before: OutlinedBody | None = None) -> OutlinedBody:
