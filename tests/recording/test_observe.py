@@ -108,6 +108,13 @@ def test_a_film_at_a_wrong_rate_is_told_to_look_at_it() -> None:
         assemble(recording(), slow, PUSHED.log(), None, ObserveSettings())
 
 
+def test_where_frames_were_lost_and_closed_up_not_only_the_axes_are_suspected() -> None:
+    short = replace(PUSHED.markers(), time=0.85 * PUSHED.markers().time)
+    remarks = assemble(recording(), short, PUSHED.log(), None, ObserveSettings()).source.remarks
+    (remark,) = (one for one in remarks if one.about == "axes")
+    assert "the film lasts 6.77 s), or frames are missing" in remark.text
+
+
 def test_a_wrong_start_is_not_taken_for_wrong_axes() -> None:
     for start in (246.5, 254.5):
         video = VideoEntry(Path("video.mp4"), start=start, start_uncertainty=1.0)

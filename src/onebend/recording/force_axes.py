@@ -205,9 +205,10 @@ def check_direction(
         text += f" {LOADED}"
     if rec.markers is not None:
         text += f" Or the axes of {rec.markers.file.name} are not those of the log: x_m, y_m and angle_rad."
-    if refuse and reading.impossible:
+    if rec.video is not None:
         seconds = float(markers.time[-1] - markers.time[0])
-        text += f" Or the film's frame rate is wrong (by it the film lasts {seconds:.3g} s)." if rec.video else ""
+        text += f" Or the film's frame rate is wrong (by it the film lasts {seconds:.3g} s), or frames are missing."
+    if refuse and reading.impossible:
         raise ObservationError(f"{rec.name}: {text}", about="axes")
     share = math.sqrt(reading.unexplained["as it is"])
     return (Remark("warning", text, doubt=reading.impossible or reading.exact, about="axes", share=share),)
