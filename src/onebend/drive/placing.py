@@ -6,7 +6,7 @@ both say where the tool is:
     rotation (x_i, y_i, 0) + origin = p_i + Q_i o
 
 with p_i, Q_i the tool's pose, (x_i, y_i) where the film has the beam's pushed point (o is then nearly 0) or the tag (o
-its place on the tool). Least squares by Gauss and Newton; the axes of the force log in recording.toml are the prior.
+its place on the tool). Least squares; the axes of the force log in recording.toml are the prior.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from onebend.drive.robots import ToolPose, pose_of
@@ -118,30 +119,26 @@ def fitted(seen: Array, tool: Sequence[ToolPose], prior: Placement, offset_sd: f
     Raises:
         RecordingError: they contradict each other.
     """
-    base = np.array([one.position for one in tool])
+    base, turns = np.array([one.position for one in tool]), np.stack([one.rotation for one in tool])
     flat = np.column_stack([seen, np.zeros(len(seen))])
-    rotation, pivot = prior.rotation, base.mean(axis=0)
-    origin, offset = np.mean(base - flat @ rotation.T, axis=0), np.zeros(3)
-    known = np.linalg.inv(prior.covariance[:3, :3])
-    turned, sd = np.zeros(3), 1e-3
-    turns = np.stack([one.rotation for one in tool])
+    known = np.linalg.cholesky(np.linalg.inv(prior.covariance[:3, :3])).T
+    share = math.sqrt(min(INDEPENDENT / len(seen), 1.0))  # what is left comes with the force, pair after pair
+
+    def turned(x: Array) -> Array:
+        return np.asarray(Rotation.from_rotvec(x[:3]).as_matrix() @ prior.rotation)
+
+    def off(x: Array) -> Array:
+        return np.asarray(base + turns @ x[6:] - flat @ turned(x).T - x[3:6])
+
+    def left(x: Array, sd: float) -> Array:
+        return np.concatenate([share / sd * off(x).ravel(), known @ x[:3], x[6:] / offset_sd])
+
+    x, sd = np.concatenate([np.zeros(3), np.mean(base - flat @ prior.rotation.T, axis=0), np.zeros(3)]), 1e-3
     for _ in range(8):
-        arm = flat @ rotation.T
-        off = base + turns @ offset - arm - origin  # (N, 3)
-        rows = np.concatenate([-_cross(arm), np.broadcast_to(np.eye(3), (len(arm), 3, 3)), -turns], axis=2)
-        weight = min(INDEPENDENT / len(seen), 1.0) / sd**2  # what is left comes with the force, pair after pair
-        normal = weight * np.einsum("nij,nik->jk", rows, rows)
-        normal[:3, :3] += known
-        normal[6:, 6:] += np.eye(3) / offset_sd**2
-        right = weight * np.einsum("nij,ni->j", rows, off)
-        right[:3] -= known @ turned
-        right[6:] -= offset / offset_sd**2
-        step = np.linalg.solve(normal, right)
-        turned, origin, offset = turned + step[:3], origin + step[3:6], offset + step[6:]
-        rotation = np.asarray(Rotation.from_rotvec(step[:3]).as_matrix() @ rotation)
-        sd = max(float(np.sqrt(np.mean(off**2))), NOISE)
-    away = rotation @ prior.rotation.T
-    turn = np.linalg.norm(Rotation.from_matrix(away).as_rotvec())
+        found = least_squares(left, x, x_scale="jac", args=(sd,))
+        x, sd = found.x, max(float(np.sqrt(np.mean(off(found.x) ** 2))), NOISE)
+    rotation, origin, pivot = turned(x), x[3:6], base.mean(axis=0)
+    turn = np.linalg.norm(x[:3])
     if turn > 5.0 * math.sqrt(np.trace(prior.covariance[:3, :3])) or sd > MOST_OFF * float(np.ptp(seen, axis=0).max()):
         raise RecordingError(
             f"{source}: the robot and the film disagree on where the tool went, whatever the axes. Check columns, "
@@ -149,7 +146,7 @@ def fitted(seen: Array, tool: Sequence[ToolPose], prior: Placement, offset_sd: f
         )
     at_pivot = np.eye(9)
     at_pivot[3:6, :3] = -_cross(pivot - origin)
-    covariance = (at_pivot @ np.linalg.inv(normal) @ at_pivot.T)[:6, :6]
+    covariance = (at_pivot @ np.linalg.inv(found.jac.T @ found.jac) @ at_pivot.T)[:6, :6]
     return Placement(rotation, origin, covariance, pivot, sd, source)
 
 
