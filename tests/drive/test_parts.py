@@ -157,7 +157,7 @@ def test_a_push_that_contradicts_the_axes_is_refused(rec: Recording) -> None:
 
 
 def test_a_recorded_push_places_the_robot(tmp_path: Path) -> None:
-    folder = described(tmp_path, width=480)
+    folder = described(tmp_path)
     off = (0.02, -0.01, 0.015)
     setup = setup_for(read_recording(folder, filmed=False), holds=False, off=off)
     recorded_push(folder, setup)
