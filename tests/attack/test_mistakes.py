@@ -76,6 +76,11 @@ def slow(table: Array) -> Array:
     return out
 
 
+def since_1970(table: Array) -> Array:
+    """Times as a computer's clock counts them."""
+    return np.column_stack([1e9 * (table[:, 0] + 1.78e9), table[:, 1:]])
+
+
 MASS = edit(TOML, LENGTH, f"{LENGTH}\nmass_kg = 0.075")
 SPACED = rewrite(FORCE, lambda text: text.replace(",", ";").replace(".", ","))
 CASES = [
@@ -110,6 +115,8 @@ CASES = [
     Case("an empty log", rewrite(FORCE, lambda _: ""), "force.csv is empty"),
     Case("a log of a header", rewrite(FORCE, lambda text: text.splitlines()[0]), "has no rows"),
     Case("semicolons and decimal commas", SPACED, "separated by commas, and decimals written with a point"),
+    Case("decimal commas", rewrite(FORCE, lambda text: text.replace(".", ",")), "6 cells.* decimals with a point"),
+    Case("times in nanoseconds since 1970", numbers(FORCE, since_1970), "not the second, state time_unit in"),
     Case("semicolons in the tracks", rewrite(MARKERS, lambda text: text.replace(",", ";")), "no semicolons"),
     Case("no place of the push", edit(TOML, "[push]\nat_s = 1.0", ""), "Add `.push.` with `at_s = 1.0`"),
     Case("place of the push in metres", edit(TOML, "at_s = 1.0", "at_s = 0.15"), "beyond the push.* Check at_s in"),

@@ -45,8 +45,11 @@ def half_width(s: Array) -> Array:
     return np.asarray(0.007 - 0.0015 * s)
 
 
-def painted(bend: float, *, wall: float = 0.0, ends: float = 1.0, noise: float = 1.5, seed: int = 0) -> Planes:
-    """A picture of the body up to s = `ends`, with a wall of this width [m] on its left, blurred by a pixel."""
+def painted(
+    bend: float, *, wall: float = 0.0, ends: float = 1.0, rim: float = 0.0, noise: float = 1.5, seed: int = 0
+) -> Planes:
+    """A picture of the body up to s = `ends`, with a wall of this width [m] on its left, blurred by a pixel; the outer
+    two fifths of its width are darker by `rim`."""
     s = np.linspace(0.0, ends, 600)
     middle, angle = line(bend, s)
     distance, best = cKDTree(middle).query(PLANE, distance_upper_bound=0.015)
@@ -59,6 +62,7 @@ def painted(bend: float, *, wall: float = 0.0, ends: float = 1.0, noise: float =
     colour = np.tile(GROUND, (len(PLANE), 1))
     colour[beside & (across > 0.0) & (across < half_width(along) + wall)] = WALL if wall else BODY
     colour[beside & (np.abs(across) < half_width(along))] = BODY
+    colour[beside & (np.abs(np.abs(across) / half_width(along) - 0.8) < 0.2), 0] -= rim
     mean = colour.reshape(HEIGHT, SAMPLES, WIDTH, SAMPLES, 3).mean(axis=(1, 3))
     for axis in (0, 1):
         mean = 0.25 * np.roll(mean, 1, axis) + 0.5 * mean + 0.25 * np.roll(mean, -1, axis)
@@ -145,6 +149,16 @@ def test_the_width_is_that_of_the_body() -> None:
 def test_a_wall_is_no_part_of_the_top_face() -> None:
     track = traced([painted(b, wall=0.003, seed=i) for i, b in enumerate(BENDS[:4].tolist())])
     assert abs(float(np.nanmean(errors(track, BENDS[:4])))) < 0.2
+
+
+def test_a_body_of_stated_width_with_a_darker_rim_is_seen_up_to_where_the_rim_ends() -> None:
+    stations, hidden, _ = stations_and_hidden()
+    place = BodyPlace("painted", VIEW, stations, hidden, 2.0 * float(half_width(np.zeros(()))))
+    pictures = [painted(b, rim=22.0, seed=i) for i, b in enumerate(BENDS[:3].tolist())]
+    found, _ = outline.follow([Sight(one, VIEW, np.zeros(2)) for one in pictures], place)
+    assert np.isfinite(found.away[..., ~hidden]).mean() > 0.95
+    wide = np.nanmedian(found.away[:, 0] - found.away[:, 1] - 2.0 * half_width(stations.s))
+    assert abs(wide) < 0.15e-3
 
 
 def test_an_edge_between_two_levels_is_found_to_a_twentieth_of_a_pixel() -> None:
@@ -249,6 +263,16 @@ def test_pictures_without_the_body_are_left_out_and_told() -> None:
     assert lost.tolist() == [False, False, True, False]
     (remark,) = outline.lost_remarks(found)
     assert "1 of 4 frames" in remark.text
+
+
+def test_a_body_that_moved_on_while_it_was_hidden_is_found_again() -> None:
+    pictures = [painted(0.0), painted(0.0, ends=0.02, seed=1), *(painted(BENT + 0.1 * i, seed=2 + i) for i in range(3))]
+    stations, hidden, _ = stations_and_hidden()
+    found, _ = outline.follow(
+        [Sight(one, VIEW, np.zeros(2)) for one in pictures], BodyPlace("painted", VIEW, stations, hidden, math.nan)
+    )
+    lost = ~np.isfinite(found.away).any(axis=(1, 2))
+    assert lost.tolist() == [False, True, False, False, False]
 
 
 def test_a_curve_off_the_body_is_refused() -> None:

@@ -113,6 +113,17 @@ def test_no_other_beam_is_suspected_where_the_band_explains_the_error() -> None:
         assert found.failed is (suspected and bool(np.isfinite(likely)))  # by what is likely, if that is known
 
 
+def test_a_beam_that_is_identified_nowhere_is_not_said_to_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, known = made_up.findings(0), fitted().stiffness
+    assert "hold" in verdict_of(found).headline
+    vague = replace(known, covariance=100.0 * np.eye(len(known.mean)))
+    monkeypatch.setattr(Posterior, "stiffness", vague)
+    verdict = verdict_of(found)
+    assert "identified nowhere" in verdict.headline
+    assert "hold" not in verdict.headline
+    assert "not identified" in verdict.known
+
+
 def test_a_failed_validation_is_a_doubt_about_the_band() -> None:
     contradicted = replace(fitted(), contradicted_by=("again",))
     assert "again" in contradicted.doubts[-1]

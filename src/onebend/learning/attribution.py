@@ -43,10 +43,11 @@ _STATED = {  # what a cause is of, in words
     "clamp": "the direction of the clamp",
     "push place": "the place of the push",
     "force direction": "the direction of the force",
+    "clock runs": "the clocks of film and log",
 }
 NO_MATERIAL = "no material"
 _ABOUT = {"the axes of the force": "axes", "the tags' places at rest": "tag places", "Young's modulus": NO_MATERIAL}
-_OF_THE_FORCE = ("force direction", "axis scale", "clock", "mass", "weight", "push place")
+_OF_THE_FORCE = ("force direction", "axis scale", "clock", "clock runs", "mass", "weight", "push place")
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def contradictions(
 ) -> tuple[Contradiction, ...]:
     """All of a fit, the largest first; `known`: k(s) with its band."""
     sd = _typical_sd(known)
-    striking = critic.causes[:1] or critic.alarms  # the likeliest cause, freed; without one the trends that stand out
+    striking = critic.causes or critic.alarms  # causes about as likely, freed; without one the trends that stand out
     found = {
         _named(critic): max((one.sds for one in striking), default=0.0),
         "the force log": 0.0 if _explained(critic) else _of_the_log(problem, optimum) / sd,

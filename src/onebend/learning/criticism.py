@@ -148,6 +148,7 @@ def _entering(data: fit_data.FitData, now: prediction.Prediction) -> dict[str, P
         "weight": Perturbation(sag, None, None, np.zeros(2)),
         "viscous": Perturbation(None, None, (_rate(data, solved), np.ones((force.shape[1], 1))), np.zeros(1)),
         "clamp": of_clamp_angle(problem),
+        "clock": prediction.pushed_by(data.beyond, prediction.push_forces(now.force, now.log_axes, data.rate)["clock"]),
         "rest shape": of_rest_curvature(problem, fit_data.REST_MODES.curvature(problem.grid.nodes)),
         "stiffness along": of_stiffness(solved, problem.k[..., None] * _along(problem.grid.nodes)),
     }
@@ -190,6 +191,7 @@ def _changes(data: fit_data.FitData, run: Course, patterns: dict[str, Array]) ->
     out = [
         Alternative(Suspect("change", "creep", recording=name), _in_time(patterns["rest shape"], run)),
         Alternative(Suspect("change", "slip", recording=name), _in_time(slip, run)),
+        Alternative(Suspect("change", "clock runs", recording=name), _in_time(patterns["clock"], run)),
     ]
     for i in data.tags.tolist():
         tag = int(data.observations.tag_id[i])

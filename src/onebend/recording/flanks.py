@@ -7,7 +7,7 @@ whose place and direction the base tag says, to its tip.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -184,10 +184,11 @@ _HALF = round(2.5 / STEP)  # samples to either side over which it is integrated
 
 @dataclass(frozen=True)
 class Look:
-    """How much the body's colour varies within itself."""
+    """How the body's colour varies within itself."""
 
     sd: Array  # (3,) of the mean over `SIDE`
     pixel_sd: Array  # (3,) of one sample
+    rim: Array = field(default_factory=lambda: np.zeros(3))  # (2, 1, 3) colour just inside a flank, less the middle's
 
 
 @dataclass(frozen=True)
@@ -267,9 +268,10 @@ def edges_near(colour: NDArray[Any], expected: Array, least: Array, pixel_sd: Ar
 
 
 def unlike(colour: NDArray[np.float32], body: Array, look: Look) -> Array:
-    """(2, M, J) sds, up to `MOST`, between colours (2, M, J, 3) and the body's (2, M, 3)."""
-    squares = np.sum(((colour - body[:, :, None]) / look.sd) ** 2, axis=-1)
-    return np.asarray(np.minimum(np.sqrt(squares), MOST))
+    """(2, M, J) sds, up to `MOST`, between colours (2, M, J, 3) and the body's (2, M, 3), in its middle or at its rim:
+    the nearer of them."""
+    squares = [np.sum(((colour - one[:, :, None]) / look.sd) ** 2, axis=-1) for one in (body, body + look.rim)]
+    return np.asarray(np.minimum(np.sqrt(np.minimum(*squares)), MOST))
 
 
 def edge_place(colour: NDArray[np.float32], first: IntArray, pixel_sd: Array) -> Array:
@@ -326,6 +328,7 @@ FIRST = 0.10  # of the length: there the body's colour and width are taken
 WIDEST = 0.15  # of the length: half of the widest body
 PAPER = 0.75  # of a tag's side: from its middle to where its paper ends, along the beam
 STEP_SHARE = 1.0 / 16.0  # of the step at the flanks: sd of the body's colour, at least
+RIM_SHARE = 0.5  # of this step: by so much, at most, its rim may differ from its middle
 _BESIDE = 4.0  # px to either side of a flank, where its step is measured
 MEASURED = 0.1  # px: sd of a flank's place, for the curve that carries the search
 STIFF = 10.0  # times stiffer than a bent beam: the curve whose far end nothing holds yet
@@ -385,8 +388,9 @@ def pixel_noise(colour: NDArray[np.floating[Any]], axis: int) -> Array:
 
 
 def appearance(sight: Sight, curve: Curve, half: Array, part: BoolArray, step: float) -> Look:
-    """How much the body's colour varies across it along `part` (M,) of the curve, at least a share of the `step` at its
-    flanks: less is shade on the body."""
+    """How the body's colour varies across it along `part` (M,) of the curve: its sd is at least a share of the `step`
+    at its flanks, as less is shade on the body. The rim of a round or bevelled body has a colour of its own, which
+    differs from that of the middle by less than from what lies beside the body."""
     normal, scale = (one[part] for one in sight.outward(curve))
     width = float(np.median(half[part] * scale))  # px
     across = np.arange(-0.6 * width, 0.6 * width + STEP, STEP)
@@ -395,28 +399,37 @@ def appearance(sight: Sight, curve: Curve, half: Array, part: BoolArray, step: f
     smooth = np.lib.stride_tricks.sliding_window_view(colour, min(SAMPLES_ASIDE, len(across)), axis=1).mean(axis=-1)
     spread = MAD_TO_SD * np.nanmedian(np.abs(smooth - nan_median(smooth, axis=1)[:, None]), axis=(0, 1))
     least = max(1.0, STEP_SHARE * step)  # of 255: no encoder keeps less
-    return Look(np.maximum(spread, least), np.maximum(pixel, 1.0))
+    near = SIDES[:, None] * (half[part] * scale - SIDE)  # (2, m) px
+    inside = sight.planes.at(sight.pixels(curve.xy[part]) + near[..., None] * normal)
+    rim = nan_median(inside - np.median(colour, axis=1), axis=1)
+    rim[~(np.linalg.norm(rim, axis=1) < RIM_SHARE * step)] = 0.0
+    return Look(np.maximum(spread, least), np.maximum(pixel, 1.0), rim[:, None])
 
 
-def grown(sight: Sight, place: BodyPlace) -> OutlinedBody:
-    """The body in its first picture.
+def grown(sight: Sight, place: BodyPlace, before: OutlinedBody | None = None) -> OutlinedBody:
+    """The body in a picture, followed from the clamp on: in its first one, or as it was `before`.
 
     Raises:
-        ObservationError: no body is seen beside the clamp.
+        ObservationError: no body is seen beside the clamp; not where it was seen `before`.
     """
     stations, hidden, width = place.stations, place.hidden, place.width
     s, state = stations.s, np.zeros(1 + STATES)
     begin = float(s[np.argmin(hidden)])
     part = (s >= begin) & (s <= begin + FIRST) & ~hidden
-    sides: Array = np.full(2, 0.5 * width)
-    if math.isnan(width):
-        sides = first_width(sight, stations.curve(state), part, stations.length)
-    half, state[0] = np.full(stations.count, sides.mean()), 0.5 * (sides[0] - sides[1])
+    if before is not None:
+        half, state[0] = before.half, before.state[0]
+    else:
+        sides: Array = np.full(2, 0.5 * width)
+        if math.isnan(width):
+            sides = first_width(sight, stations.curve(state), part, stations.length)
+        half, state[0] = np.full(stations.count, sides.mean()), 0.5 * (sides[0] - sides[1])
     step = edge_size(sight, stations.curve(state), half, part) if np.isfinite(half).all() else 0.0
     front = begin + FIRST
     while True:
         part = (s <= front) & ~hidden
         body = refined(sight, stations, state, half, part, step, STIFF if front < 1.0 else 1.0)
+        if body is None and before is not None:
+            return before
         if body is None:
             raise ObservationError(
                 f"{place.name}: no body is seen beside the clamp: no two edges run along the base tag's direction. "

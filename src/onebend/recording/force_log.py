@@ -207,7 +207,8 @@ def refuse_absurd(path: Path, wanted: Sequence[str], read: Array, lines: IntArra
         if absurd.any():
             row = int(np.argmax(absurd))
             said = f"{name} is {read[row, i]:.3g}, more than {most:g}"
-            raise RecordingError(f"{path}, line {lines[row]}: {said}. Correct or remove the line.")
+            unit = " If its unit is not the second, state time_unit in [force]." if i == 0 else ""
+            raise RecordingError(f"{path}, line {lines[row]}: {said}. Correct or remove the line.{unit}")
 
 
 def whole_log(where: str, read: Array, remarks: tuple[Remark, ...] = ()) -> ForceLog:

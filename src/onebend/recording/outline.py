@@ -31,9 +31,10 @@ STATION, STATIONS = 4.0, 240  # px: distance of the normals; at most so many
 POINTS = 30  # of the curve that are kept, evenly along the body
 PLACES = (np.arange(POINTS) + 0.5) / POINTS  # (n,) their s
 FAR = 0.4  # of `REACH`: a curve that is farther from its prediction is searched again
-WIDE = 2.0  # px: so far off may the width at one station be
+WIDE = 4.0  # px: so far off may the width at one station be, as where the body moves and is blurred
 LOST = 0.75  # of the share of stations that usually show the body: with fewer it is elsewhere
 USUAL = 60  # pictures, of which the usual share is taken
+ROUNDS = 10  # at most, in which a curve comes to the flanks, each by up to `REACH`
 STEADY = 0.3  # of a change from picture to picture is taken for motion, where it is not that of the ones before
 
 
@@ -57,8 +58,8 @@ def body_place(rec: entries.Recording, view: View) -> flanks.BodyPlace:
 
 
 class FlankFollower:
-    """Follows the flanks through consecutive pictures. A picture in which the body is lost shows none; the next is
-    searched near where the body was last, and near where it was first."""
+    """Follows the flanks through consecutive pictures. Each is searched near where the two before predict the body,
+    near where it was last and first, and from the clamp on. A picture in which the body is lost shows no flanks."""
 
     def __init__(self, place: flanks.BodyPlace) -> None:
         self.place = place
@@ -83,6 +84,9 @@ class FlankFollower:
             best = tried if best is None or tried[0] > best[0] else best
             if best[0] > least:
                 break
+        else:
+            tried = _near(sight, self.place, body, flanks.grown(sight, self.place, body).state)
+            best = tried if best is None or tried[0] > best[0] else best
         assert best is not None
         share, state, away, new = best
         if not share > least:
@@ -121,7 +125,7 @@ def _near(
     curve (1 + K,) that the flanks were looked for along, they (2, M) m from it, and the curve between them."""
     stations, hidden = place.stations, place.hidden
     sd = flanks.MEASURED / float(np.median(sight.outward(stations.curve(state))[1]))
-    for _ in range(3):
+    for _ in range(ROUNDS):
         curve = stations.curve(state)
         away = np.where(hidden, np.nan, flanks.find_flanks(sight, curve, body.half, body.look))
         new = stations.fitted(state, nan_mean(away - flanks.SIDES[:, None] * body.half), sd)

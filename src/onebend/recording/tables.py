@@ -109,6 +109,13 @@ def _csv(path: Path, once: Sequence[str] = ()) -> tuple[dict[str, list[str]], In
         raise RecordingError(
             f"{path}, line 1: columns must be separated by commas, and decimals written with a point; no semicolons."
         )
+    its_own = bool(set(once) & set(header))  # else it is no such table, and that is told
+    for line, row in zip(lines, rows, strict=True):
+        if its_own and any(cell.strip() for cell in row[len(header) :]):
+            raise RecordingError(
+                f"{path}, line {line}: {len(row)} cells, but the header names {len(header)} columns. Write decimals "
+                "with a point, and a name above each column."
+            )
     twice = [name for name in once if header.count(name) > 1]
     if twice:
         raise RecordingError(f"{path}, line 1: the column {quoted(twice[0])} is there twice. Remove or rename one.")

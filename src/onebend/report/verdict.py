@@ -120,6 +120,8 @@ def _headline(posterior: Posterior | None) -> str:
         return say("verdict: regression")
     if posterior.doubts:
         return say("verdict: doubt", doubts="; ".join(posterior.doubts))
+    if not confidence.identified_ranges(posterior.stiffness):
+        return say("verdict: nowhere")
     matter = [confidence.share_words(share) for share in posterior.attributions if share.matters][:_MOST_NAMED]
     return say("verdict: allowances", allowances=", ".join(matter)) if matter else say("verdict: holds")
 

@@ -14,8 +14,10 @@ from scipy.stats import kstest
 from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import LogSpline
+from onebend.beam.stiffness import LogSpline, Powers, Uniform
 from onebend.errors import LearningError
+from onebend.lab.bench import ForceSensor, PushProfile
+from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
 from onebend.learning.criticism import (
     AXES,
     UNITS,
@@ -86,6 +88,8 @@ def otherwise(name: str, h: float) -> Array:
         return poses(beam, FORCES * np.array([1.0 + h, 1.0 - h]))
     if name == "clamp":
         return poses(replace(beam, clamp_angle=h))
+    if name == "clock":
+        return poses(beam, FORCES + h * fitted().recordings[0].rate[: len(FORCES)])
     assert name == "stretch"
     start = equilibrium(beam, push(FORCES))
     xy, angle = stretched(beam, FORCES, 1.0, MARKERS, 1.0 / h, start)
@@ -100,6 +104,7 @@ def otherwise(name: str, h: float) -> Array:
         ("force direction", 1e-4),
         ("axis scale", 1e-4),
         ("clamp", 1e-4),
+        ("clock", 1e-4),
         ("stretch", 1e-4),
     ],
 )
@@ -185,6 +190,20 @@ def test_a_turned_tag_is_noted_but_does_no_harm() -> None:
     assert re.search(r"tag 1 is turned by (8\.9|9) deg", remark.text)
 
 
+def test_clocks_that_run_apart_are_told() -> None:
+    beam = Beam(0.15, Powers((0.02, 0.02)), mass_per_length=Uniform(0.3))
+    slow = PushProfile(0.4, before=1.0, rise=2.0, hold=0.3, fall=2.0, after=1.0)
+    bench = VirtualBench(beam=beam, push=slow, sensor=ForceSensor(rate=100.0, white_sd=0.003), fps=8.0)
+    made, lost = virtual_recording(bench, seed=1), 0.3  # s of the log, which are closed up
+    time = made.log.time - made.log.time[0]
+    kept = (time <= 4.8) | (time > 4.8 + lost)
+    late = made.log.time - lost * (time > 4.8)
+    seen = observe_virtual(replace(made, log=replace(made.log, time=late[kept], force=made.log.force[kept])))
+    found = fit([seen], settings=SMALL).criticism.findings[0]
+    assert found.score.suspect.name == "clock runs"
+    assert found.score.log10_p < -4.0
+
+
 def test_a_beam_that_stretches_is_told_with_its_stiffness() -> None:
     o, axial = fitted().recordings[0].observations, 30.0
     rng = np.random.default_rng(2)
@@ -206,7 +225,7 @@ def suspects() -> list[Suspect]:
     out = [Suspect("mechanics", name) for name in UNITS]
     out += [Suspect("prior", name, 1) for name in ("along", "across", "turn", "clamp", "origin", "scale", "clock")]
     out += [Suspect("prior", name) for name in ("mass", "curvature", "rest change")]
-    out += [Suspect("change", name, 1, "made") for name in ("creep", "slip", "loose")]
+    out += [Suspect("change", name, 1, "made") for name in ("creep", "slip", "clock runs", "loose")]
     return [*out, *(Suspect("trend", name, 1, "made") for name in AXES)]
 
 
