@@ -197,7 +197,7 @@ def led(one: Learned, *, with_new: bool = True, tag: bool = False) -> list[Led]:
             squared, long = float(found.predicted.distance(place)), float(found.predicted.ellipse().semi_axes[0])
             likely = np.linalg.norm(normal @ np.linalg.cholesky(found.predicted.covariance).T, axis=1)
             doubted = bool(one.posterior.doubts)
-            exact = last if tag else tip
+            exact, last = last if tag else tip, last if setup.tag_ids[-1] >= 0 else np.nan
             out.append(Led(one.cell, one.seed, new, off, exact, last, squared, long, float(np.median(likely)), doubted))
     return out
 
@@ -214,7 +214,7 @@ def run(cell: str, seed: int, placed_to: float = 0.0, tag: bool = False, bare: s
 def row(name: str, goals: Sequence[Led]) -> str:
     """The table's row of goals on some benches."""
     sizes = zip(*((g.off, g.quiet, g.tag) for g in goals), strict=True)
-    off, quiet, tag = (1e3 * np.quantile(which, [0.5, 0.9]) for which in sizes)
+    off, quiet, tag = (1e3 * np.quantile(which, [0.5, 0.9]) for which in sizes)  # the last NaN without tags
     inside = [100.0 * np.mean([one.squared <= -2.0 * np.log1p(-level) for one in goals]) for level in LEVELS]
     long, claimed = (1e3 * float(np.median([getattr(one, name) for one in goals])) for name in ("long", "claimed"))
     return (

@@ -243,6 +243,8 @@ def test_the_centre_of_a_tag_is_put_on_a_goal_and_its_error_is_said() -> None:
         assert np.trace(after - before) == pytest.approx(1e-3**2 if number == 7 else 0.0, rel=0.2, abs=1e-12)
     with pytest.raises(MechanicsError, match="had no tag 5; it had 4, 7"):
         reach_in_setup(BEAM, KNOWN, one, goals[7], tag=5)
+    with pytest.raises(ControlError, match=r"^tag 7, at s = 1: "):
+        reach_in_setup(BEAM, KNOWN, one, (0.5, 0.0), tag=7)
     with pytest.raises(MechanicsError, match="names none"):
         setup().tag_at(-1)
 

@@ -68,7 +68,11 @@ class Noting(CellRobot):
 
 @pytest.mark.parametrize(
     ("hand", "by", "at_s", "factor"),
-    [("push", "pose", 0.8, 0.7), ("hold", "pose", 1.0, 1.3), ("push", "force", 1.0, 0.7)],
+    [
+        ("push", "pose", 0.8, 0.7),
+        pytest.param("hold", "pose", 1.0, 1.3, marks=pytest.mark.slow),
+        pytest.param("push", "force", 1.0, 0.7, marks=pytest.mark.slow),
+    ],
 )
 def test_the_true_point_comes_to_rest_on_the_goal(
     hand: Hand, by: Skill, at_s: float, factor: float, tmp_path: Path
@@ -137,6 +141,7 @@ def test_a_drive_is_learned_from(tmp_path: Path) -> None:
     assert np.all((band.low < true) & (true < band.high))
 
 
+@pytest.mark.slow
 def test_goals_in_time_are_passed_when_their_time_is_over(tmp_path: Path) -> None:
     rec = read_recording(described(tmp_path, width=640), filmed=False)
     forces, times = [(0.0, 0.1), (-0.01, 0.2), FORCE], [1.0, 2.0, 3.0]
@@ -210,6 +215,7 @@ def test_a_second_stop_lets_go_at_once(tmp_path: Path) -> None:
     assert all(at < 1.95 for at, _ in robot.told)
 
 
+@pytest.mark.slow
 def test_what_was_only_late_pauses_and_goes_on(tmp_path: Path) -> None:
     rec = read_recording(described(tmp_path, width=640), filmed=False)
     cell = VirtualCell(setup_for(rec, holds=False, sees=math.radians(60.0)))

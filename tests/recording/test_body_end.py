@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 import pytest
@@ -45,8 +46,9 @@ def marked(picture: Planes, bend: float, s: float, *, across: float, along: floa
     return Planes(np.where(inside, dark, picture.luma), np.where(inside, grey, picture.chroma))
 
 
-def pictures_of(ends: float = 1.0) -> list[Planes]:
-    return [painted(b, ends=ends, seed=i) for i, b in enumerate(BENDS.tolist())]
+@cache
+def pictures_of(ends: float = 1.0) -> tuple[Planes, ...]:
+    return tuple(painted(b, ends=ends, seed=i) for i, b in enumerate(BENDS.tolist()))
 
 
 @pytest.mark.parametrize("ends", [0.985, 0.995, 1.0])
@@ -66,7 +68,7 @@ def test_a_dot_at_the_tip_and_a_band_before_it_are_no_end() -> None:
 
 def test_pictures_whose_end_is_covered_are_left_out() -> None:
     """A tool over it, in two of the pictures and in all."""
-    plain = pictures_of()
+    plain = list(pictures_of())
     covered = [marked(one, b, 0.99, across=0.03, along=0.02) for one, b in zip(plain, BENDS.tolist(), strict=True)]
     found = ends_in([*covered[:2], *plain[2:]], BENDS)
     assert np.isnan(found[:2]).all()

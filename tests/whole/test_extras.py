@@ -73,7 +73,7 @@ def test_what_needs_no_extra_works_without_them(tmp_path: Path) -> None:
     done = without_extras(
         ["design", "linear"],
         ["tags", str(ROOT / "examples/linear-beam/train"), "-o", str(tmp_path / "tags.svg")],
-        ["path", str(model), "--goals", str(goals), "-o", str(tmp_path / "path")],
+        ["path", str(model), "--goals", str(goals), "--rate-Hz", "20", "-o", str(tmp_path / "path")],
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "tags.svg").is_file()

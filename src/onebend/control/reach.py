@@ -695,13 +695,14 @@ def reach_in_setup(
     if exact is None:
         alone = reach(beam, wanted, push_s=now.push_s, point_s=point_s, settings=settings)
         size = float(np.hypot(*alone.force))
-        raise ControlError(
+        why = (
             f"no force in this set-up puts the point on its goal; the beam alone would need {size:.3g} N, and it was "
             f"learned from {largest:.3g} N. Take a goal nearer to where the recording led the point, or learn from a "
             "harder push"
             if alone.converged
             else alone.reason
         )
+        raise ControlError(why if tag is None else f"tag {tag}, at s = {point_s:.4g}: {why}")
     return answer(*exact)
 
 
