@@ -449,7 +449,8 @@ def lag_evidence(track: Track, rows: BinnedLog, offset: float, tau: float, *, wi
     Where it is negative over a sensor without a lag, other quick ones are not tried."""
     apart, reach = max(LAGS_APART, OF_LAG * tau), LAG_REACH * max(tau, within)
     offsets = np.arange(offset - reach - MARGIN, offset + MARGIN + 0.5 * apart, apart)
-    covered = [np.isfinite(track.mean(rows.time - shift, rows.width)).all(axis=(1, 2)) for shift in offsets]
+    longest = lagging(track, max(tau, within))
+    covered = [np.isfinite(longest.mean(rows.time - shift, rows.width)).all(axis=(1, 2)) for shift in offsets]
     known = np.all(covered, axis=0)
     if known.sum() < FEWEST:
         return -np.inf

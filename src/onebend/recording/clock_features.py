@@ -183,8 +183,12 @@ def gapless(markers: Markers, settings: ClockSettings) -> GaplessMarkers | None:
     return GaplessMarkers(markers.time, *places, covered, before, after)
 
 
+SPARED = 0.1  # of all frames
+
+
 def lasting(markers: Markers, longest_gap: float) -> tuple[BoolArray, BoolArray]:
-    """(m,) the markers with the fewest frames in long gaps, and (T,) frames where none of these has a long gap."""
+    """(m,) the markers with few frames in long gaps, at most `SPARED` of all more than the fewest, and (T,) frames where
+    none of these has a long gap: a hand that passes over the beam costs some frames, and no marker."""
     missing = ~(np.isfinite(markers.xy).all(axis=-1) & np.isfinite(markers.angle))
     long = np.zeros_like(missing)
     for i, column in enumerate(missing.T):
@@ -193,7 +197,7 @@ def lasting(markers: Markers, longest_gap: float) -> tuple[BoolArray, BoolArray]
             if edge or markers.time[stop] - markers.time[start - 1] > longest_gap:
                 long[start:stop, i] = True
     frames_missing = long.sum(axis=0)
-    used = (frames_missing <= frames_missing.min()) & (frames_missing < len(long))
+    used = (frames_missing <= frames_missing.min() + SPARED * len(long)) & (frames_missing < len(long))
     return np.asarray(used), np.asarray(~long[:, used].any(axis=1))
 
 
@@ -380,15 +384,27 @@ def resting(track: Track) -> Track:
     )
 
 
+FORGOTTEN = 0.05  # of a filter's memory: it lasts three time constants
+
+
 def lagging(track: Track, tau: float) -> Track:
-    """The features behind a first-order filter of time constant `tau` [s], at rest before the film."""
+    """The features behind a first-order filter of time constant `tau` [s], at rest before the film. They are known
+    where less than `FORGOTTEN` of what the filter remembers lies in frames that are not."""
     if tau == 0.0:
         return track
-    time, value = track.time, track.integral.derivative()(track.time)
+    value = np.asarray(filtered(track.time, track.integral.derivative()(track.time), tau))
+    unseen = filtered(track.time, (~track.covered).astype(float), tau)
+    covered = track.covered & (unseen < FORGOTTEN)
+    return replace(track, integral=CubicSpline(track.time, value, axis=0).antiderivative(), covered=covered)
+
+
+def filtered(time: Array, value: Array, tau: float) -> Array:
+    """(T, ...) the output of a first-order filter that rested at the first of these values (T, ...), straight lines
+    between their times (T,)."""
     out = np.empty_like(value)
     out[0] = value[0]
     for i, apart in enumerate(np.diff(time)):
         slope = (value[i + 1] - value[i]) / apart
         steady = value[i] - tau * slope  # the filter's output on this line, had it always run so
         out[i + 1] = steady + apart * slope + np.exp(-apart / tau) * (out[i] - steady)
-    return replace(track, integral=CubicSpline(time, out, axis=0).antiderivative())
+    return out

@@ -21,7 +21,7 @@ from scipy.ndimage import maximum_filter1d
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, track
 from onebend.recording import body_end, camera, entries, flanks, plane, video
-from onebend.recording.signals import MAD_TO_SD, correlation_time, nan_mean, nan_median, running_median
+from onebend.recording.signals import MAD_TO_SD, correlation_time, jumps, nan_mean, nan_median, running_median
 from onebend.recording.tags import in_order
 from onebend.records import END_ID, Array, BoolArray, IntArray, Markers, OutlineTrack, Remark, View, left_of, unit
 
@@ -413,7 +413,9 @@ def track_of(
     """
     middle = centreline(found, place.stations, half, flanks.MEASURED / place.scale)
     refuse_lost(middle, found, ~place.hidden, place.name)
-    points = often_seen(points_of(middle, found, place.stations, place.view, shift, place.scale))
+    points = points_of(middle, found, place.stations, place.view, shift, place.scale)
+    strays = np.stack([jumps(points.px[:, i], STRAY) for i in range(POINTS)], axis=1)
+    points = often_seen(replace(points, sd=np.where(strays, np.nan, points.sd)))
     return replace(with_end(points, middle, place, shift, at_end), remarks=lost_remarks(found))
 
 
@@ -604,6 +606,7 @@ def lost_remarks(found: OutlineSearch) -> tuple[Remark, ...]:
     return (Remark("note", text),) if lost else ()
 
 
+STRAY = 3.0  # px: a point so far from where it is in the pictures beside is another thing's
 END_SD = 2e-4  # m, of the end that is seen from that which `length_m` means: a cut is not square, a rim is round
 SHARED = 2.0  # sds of what both flanks show: light, walls and blur shift both alike, which their distance hides
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
-from scipy.ndimage import median_filter, percentile_filter, uniform_filter1d
+from scipy.ndimage import maximum_filter1d, median_filter, percentile_filter, uniform_filter1d
 
 from onebend.errors import RecordingError
 from onebend.records import Array, BoolArray, IntArray, Remark, unit
@@ -344,6 +344,20 @@ def copies_in_motion(time: Array, points: Array, still: float, least: float) -> 
 
 LONGEST_LAG = 8  # a correlation time takes lags up to this part (1 / 8) of the frames
 UNCORRELATED = 0.05  # correlation from which on a correlation time is cut off
+
+
+JUMP = 6.0  # times the usual distance to the points beside and half the motion from frame to frame
+
+
+def jumps(path: Array, least: float) -> BoolArray:
+    """(N,) which points of a path (N, 2) lie `least` or more away from those beside them, in its unit, and by far more
+    than noise and motion explain."""
+    padded = np.pad(path, ((3, 3), (0, 0)), mode="reflect")
+    beside = np.median([padded[k : k + len(path)] for k in (0, 1, 2, 4, 5, 6)], axis=0)
+    away = np.linalg.norm(path - beside, axis=1)
+    motion = maximum_filter1d(np.linalg.norm(np.gradient(beside, axis=0), axis=1), 7)
+    usual = median_filter(away, 15, mode="mirror")  # of a swing it is large
+    return np.asarray(away > np.maximum(least, JUMP * (usual + 0.5 * motion)))
 
 
 def correlation_time(r: Array, longest: int = LONGEST_LAG) -> float:

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
-from scipy.ndimage import maximum_filter1d, median_filter
 
 from onebend.errors import ObservationError, RecordingError
 from onebend.recording import camera, force, outline, signals, stated, tables
@@ -265,7 +264,6 @@ def plane_remarks(plane: Plane, points: Array) -> tuple[Remark, ...]:
 
 FARTHEST_M = 1e6  # m or rad: beyond this nothing is tracked
 LEAST_JUMP = 0.005  # of the beam: what is nearer to its place does no harm
-JUMP = 6.0  # times the usual distance to the points beside and half the motion from frame to frame
 LEAST_SD, LEAST_ANGLE_SD = 1e-6, 1e-4  # m and rad, least noise of a tracker: it has errors besides its noise
 
 
@@ -519,24 +517,13 @@ def _without_strays(grids: Mapping[str, Array], wanted: list[int], least: float)
         known = np.flatnonzero(np.isfinite(grids["x_m"][:, i]) & np.isfinite(grids["y_m"][:, i]))
         if len(known) < 7:  # three on either side
             continue
-        strays = known[jumps(np.column_stack([grids["x_m"][known, i], grids["y_m"][known, i]]), least)]
+        strays = known[signals.jumps(np.column_stack([grids["x_m"][known, i], grids["y_m"][known, i]]), least)]
         for grid in grids.values():
             grid[strays, i] = np.nan
         if len(strays):
             text = f"Marker {marker} jumps away and back in {len(strays)} of {len(known)} frames: they are left out."
             out.append(Remark("note", text))
     return tuple(out)
-
-
-def jumps(path: Array, least: float) -> BoolArray:
-    """(N,) which points of a path (N, 2) lie `least` [m] or more away from those beside them, and by far more than
-    noise and motion explain."""
-    padded = np.pad(path, ((3, 3), (0, 0)), mode="reflect")
-    beside = np.median([padded[k : k + len(path)] for k in (0, 1, 2, 4, 5, 6)], axis=0)
-    away = np.linalg.norm(path - beside, axis=1)
-    motion = maximum_filter1d(np.linalg.norm(np.gradient(beside, axis=0), axis=1), 7)
-    usual = median_filter(away, 15, mode="mirror")  # of a swing it is large
-    return np.asarray(away > np.maximum(least, JUMP * (usual + 0.5 * motion)))
 
 
 def _gaps(xy: Array, wanted: list[int]) -> tuple[Remark, ...]:

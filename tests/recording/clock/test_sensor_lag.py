@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from onebend.recording.clock import fit_clock
+from onebend.recording.clock_features import FORGOTTEN, GaplessMarkers, lagging, lasting
 from onebend.recording.force import without_lag
 from onebend.recording.signals import low_pass, step
-from onebend.records import ForceLog
+from onebend.records import ForceLog, Markers
 from tests.recording.pushed import Pushed
 
 PUSHED = Pushed()
@@ -51,3 +52,35 @@ def test_a_lag_is_undone() -> None:
     size = float(np.ptp(smooth[:, 0]))
     assert np.abs(slow.force - smooth)[inner].max() > 0.3 * size
     assert np.abs(undone - smooth)[inner].max() < 0.1 * size
+
+
+def passed_over() -> Markers:
+    """The tags of the push, which something hides for about half a second each, one after the other."""
+    markers = PUSHED.markers()
+    xy, angle = markers.xy.copy(), markers.angle.copy()
+    for tag, (first, last) in enumerate([(3.0, 3.4), (3.5, 4.0), (4.1, 4.6)]):
+        hidden = (markers.time > first) & (markers.time < last)
+        xy[hidden, tag], angle[hidden, tag] = np.nan, np.nan
+    return replace(markers, xy=xy, angle=angle)
+
+
+def test_what_passes_over_the_tags_costs_frames_and_no_tag() -> None:
+    markers = passed_over()
+    used, covered = lasting(markers, 0.25)
+    assert used.all()
+    np.testing.assert_array_equal(covered, np.isfinite(markers.xy).all(axis=(1, 2)))
+    half = replace(markers, xy=np.where(markers.time[:, None, None] > 4.0, np.nan, markers.xy))
+    half.xy[:, :2] = PUSHED.markers().xy[:, :2]
+    assert lasting(half, 0.25)[0].tolist() == [True, True, False]
+
+
+def test_what_a_filter_remembers_of_a_gap_is_not_known() -> None:
+    markers = passed_over()
+    gap = np.isfinite(markers.xy).all(axis=(1, 2))
+    seen = GaplessMarkers(markers.time, np.zeros(1), markers.xy, markers.angle, gap, 0.0, 0.0)
+    track, tau = seen.track(markers.time[:, None, None]), 0.5
+    slow = lagging(track, tau)
+    after = slow.time[~slow.covered].max() - markers.time[~gap].max()
+    assert after == pytest.approx(-tau * np.log(FORGOTTEN), rel=0.2)
+    assert np.all(slow.covered[slow.time < 3.0])
+    assert np.all(slow.covered[slow.time > 7.0])

@@ -15,7 +15,8 @@ from onebend.learning.posterior import fit
 from onebend.recording.entries import MarkersEntry
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe
-from onebend.recording.tracks import best_plane, chord_angles, jumps, line_frame, track_markers
+from onebend.recording.signals import jumps
+from onebend.recording.tracks import best_plane, chord_angles, line_frame, track_markers
 from onebend.records import Markers, Observations
 from onebend.report.overview import overview
 from tests.made_up import BEAM, LENGTH, MARKER_S
