@@ -187,7 +187,7 @@ SPARED = 0.1  # of all frames
 
 
 def lasting(markers: Markers, longest_gap: float) -> tuple[BoolArray, BoolArray]:
-    """(m,) the markers with few frames in long gaps, at most `SPARED` more than the fewest, and (T,) the frames in which
+    """(m,) the markers with few frames in long gaps, at most `SPARED` more than the fewest, and (T,) the frames where
     none of these has a long gap: a hand that passes over the beam costs some frames, and no marker."""
     missing = ~(np.isfinite(markers.xy).all(axis=-1) & np.isfinite(markers.angle))
     long = np.zeros_like(missing)

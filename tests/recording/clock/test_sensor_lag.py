@@ -11,7 +11,7 @@ from onebend.recording.clock import fit_clock
 from onebend.recording.clock_features import FORGOTTEN, GaplessMarkers, lagging, lasting
 from onebend.recording.force import without_lag
 from onebend.recording.signals import low_pass, step
-from onebend.records import ForceLog, Markers
+from onebend.records import BoolArray, ForceLog, Markers
 from tests.recording.pushed import Pushed
 
 PUSHED = Pushed()
@@ -76,7 +76,7 @@ def test_what_passes_over_the_tags_costs_frames_and_no_tag() -> None:
 
 def test_what_a_filter_remembers_of_a_gap_is_not_known() -> None:
     markers = passed_over()
-    gap = np.isfinite(markers.xy).all(axis=(1, 2))
+    gap: BoolArray = np.asarray(np.isfinite(markers.xy).all(axis=(1, 2)))
     seen = GaplessMarkers(markers.time, np.zeros(1), markers.xy, markers.angle, gap, 0.0, 0.0)
     track, tau = seen.track(markers.time[:, None, None]), 0.5
     slow = lagging(track, tau)
