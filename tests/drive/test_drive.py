@@ -204,6 +204,7 @@ def test_a_stop_holds_and_releases_slowly(tmp_path: Path) -> None:
     assert np.linalg.norm(true_point(cell, 1.0) - [0.15, 0.0]) < 1e-3
 
 
+@pytest.mark.slow
 def test_a_second_stop_lets_go_at_once(tmp_path: Path) -> None:
     rec = read_recording(described(tmp_path, width=640), filmed=False)
     cell = VirtualCell(setup_for(rec, holds=False, sees=math.radians(60.0)))

@@ -156,6 +156,7 @@ def test_a_push_that_contradicts_the_axes_is_refused(rec: Recording) -> None:
         fitted(seen, tool, prior, 0.003, "a push")
 
 
+@pytest.mark.slow
 def test_a_recorded_push_places_the_robot(tmp_path: Path) -> None:
     folder = described(tmp_path)
     off = (0.02, -0.01, 0.015)

@@ -429,6 +429,7 @@ def test_the_function_knows_its_derivatives() -> None:
     assert module._slope(row, 0.4, pull)[3] == pytest.approx((ahead[1] - behind[1]) / (2.0 * step), rel=1e-7)
 
 
+@pytest.mark.slow
 def test_pyelastica_is_given_the_beams_bending_stretch_and_mass() -> None:
     module = loaded(str(export(THICK, "pyelastica")), "elastica_rod")
     rod = module.make_rod(24)

@@ -84,6 +84,7 @@ def test_k_is_learned_from_the_outline() -> None:
     assert state.counts.learned_frames > 4  # one by one, after the review
 
 
+@pytest.mark.slow
 def test_beside_tags_both_are_learned_from() -> None:
     live = Live(described(), settings=LiveSettings(first_review=4.0, review_growth=2.0), beside=False)
     follow(live, play(frames(tagged=True), log(), OFFSET))

@@ -115,6 +115,7 @@ def test_where_frames_were_lost_and_closed_up_not_only_the_axes_are_suspected() 
     assert "the film lasts 6.77 s), or frames are missing" in remark.text
 
 
+@pytest.mark.slow
 def test_a_wrong_start_is_not_taken_for_wrong_axes() -> None:
     for start in (246.5, 254.5):
         video = VideoEntry(Path("video.mp4"), start=start, start_uncertainty=1.0)

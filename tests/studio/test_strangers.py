@@ -80,7 +80,11 @@ def studio(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[S
     made.end()
 
 
-@pytest.mark.parametrize("sent", ["nothing", "half a request", "a request", "a socket"])
+SENT = ("nothing", "half a request", "a request", "a socket")
+QUICKLY = "half a request"
+
+
+@pytest.mark.parametrize("sent", [pytest.param(one, marks=() if one == QUICKLY else pytest.mark.slow) for one in SENT])
 def test_strangers_do_not_lock_the_owner_out(studio: Studio, sent: str) -> None:
     data = {
         "nothing": b"",

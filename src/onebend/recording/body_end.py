@@ -12,10 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
-from scipy.signal import find_peaks
 
 from onebend.recording import flanks
-from onebend.recording.signals import MAD_TO_SD, nan_median
+from onebend.recording.signals import MAD_TO_SD, nan_median, runs
 from onebend.records import Array
 
 PICTURES = 24  # at most, spread evenly, in which the end is looked for
@@ -55,12 +54,12 @@ def lasting_end(colour: NDArray[np.float32]) -> Array:
     at = np.arange(flanks.SAMPLES_ASIDE, colour.shape[2] - flanks.SAMPLES_ASIDE)
     inside, outside = flanks.sides_of(colour, at)
     step = flanks.unlike(outside, body, look) - flanks.unlike(inside, body, look)
-    near = maximum_filter1d(step, 2 * round(AGREE / flanks.STEP) + 1, axis=2)
-    clear, _ = find_peaks(np.median(near, axis=(0, 1)), height=flanks.LEAST)
-    nothing = np.full(len(colour), np.nan)
+    size = np.median(maximum_filter1d(step, 2 * round(AGREE / flanks.STEP) + 1, axis=2), axis=(0, 1))
+    clear, nothing = runs(size >= flanks.LEAST), np.full(len(colour), np.nan)
     if not len(clear):
         return nothing
-    usual = float(at[clear[-1]])  # behind a band that is painted on the body, its colour begins again
+    first, last = clear[-1]  # behind a band that is painted on the body, its colour begins again
+    usual = float(np.mean(at[first:last][size[first:last] == np.max(size[first:last])]))
     found = flanks.edges_near(colour, np.full(colour.shape[:2], usual), np.full(1, flanks.LEAST), pixel_sd)
     most = AGREE / flanks.STEP
     found = np.where(np.abs(found - nan_median(found.ravel())) <= most, found, np.nan)

@@ -99,6 +99,7 @@ def test_the_commands_put_a_tag_on_its_goals(tmp_path: Path) -> None:
         assert "tag" in refused.stderr
 
 
+@pytest.mark.slow
 def test_a_path_takes_goals_a_hair_out_of_reach() -> None:
     """The length is known to 1 mm: goals half a millimetre beyond it are likely enough, 6 mm are not."""
     sure = setup()
