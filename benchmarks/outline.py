@@ -33,13 +33,17 @@ SLOW_TIME, TERMS = 1.0, 6  # s; Legendre polynomials along the body
 KINDS = ("tags", "outline", "both")
 
 
+def poses_at(made: VirtualRecording, s: Array) -> Array:
+    """(T, n, 3) of the true beam at places s (n,), as the base tag has them."""
+    bench = made.bench
+    if made.motion is None:
+        return from_base(standing(bench.beam, made.force, bench.push.at_s, s), bench.base)
+    return from_base(made.motion.poses(made.markers.time, s), bench.base)
+
+
 def outline_of(made: VirtualRecording, rng: np.random.Generator) -> Markers:
     """The outline's points in every frame."""
-    bench, time = made.bench, made.markers.time
-    on_beam = standing(bench.beam, made.force, bench.push.at_s, PLACES)
-    if made.motion is not None:
-        on_beam = made.motion.poses(time, PLACES)
-    pose = from_base(on_beam, bench.base)
+    bench, time, pose = made.bench, made.markers.time, poses_at(made, PLACES)
     across = np.stack([-np.sin(pose[..., 2]), np.cos(pose[..., 2])], axis=-1)
     along = np.polynomial.legendre.legvander(2.0 * PLACES - 1.0, TERMS - 1) / np.sqrt(TERMS)
     away = np.linalg.norm(pose[:, -1, :2] - pose[0, -1, :2], axis=-1)
@@ -63,11 +67,8 @@ def outline_of(made: VirtualRecording, rng: np.random.Generator) -> Markers:
 
 def with_end(made: VirtualRecording, outline: Markers, rng: np.random.Generator) -> Markers:
     """The outline and the body's end, off by one number along the body in all frames."""
-    bench, time, tip = made.bench, made.markers.time, np.ones(1)
-    on_beam = standing(bench.beam, made.force, bench.push.at_s, tip)
-    if made.motion is not None:
-        on_beam = made.motion.poses(time, tip)
-    pose = from_base(on_beam, bench.base)
+    time, tip = made.markers.time, np.ones(1)
+    pose = poses_at(made, tip)
     along = np.stack([np.cos(pose[..., 2]), np.sin(pose[..., 2])], axis=-1)
     sd = END * np.sqrt(len(time)) * np.array([1.0, 1.0, 100.0])
     end = replace(

@@ -96,5 +96,7 @@ def test_the_outline_has_the_end_as_a_point_of_which_what_is_along_it_counts() -
     true = project(VIEW, np.stack([line(b, np.array([0.995]))[0][0] for b in BENDS.tolist()]))
     assert np.linalg.norm(track.px[:, -1] - true, axis=1).max() < 1.0  # also where it was not looked for
     assert track.sd[0, -1] / np.sqrt(len(pictures)) == pytest.approx(outline.END_SD * scale)
+    one = outline.OutlineSearch(found.state[:1], found.away[:1])
+    assert outline.track_of(place, one, half, np.zeros((1, 2)), {0: sights[0]}).s[-1] == 1.0
     without = outline.track_of(place, found, half, np.zeros((len(pictures), 2)))
     assert without.s[-1] < 1.0

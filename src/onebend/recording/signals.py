@@ -351,7 +351,9 @@ JUMP = 6.0  # times the usual distance to the points beside and half the motion 
 
 def jumps(path: Array, least: float) -> BoolArray:
     """(N,) which points of a path (N, 2) lie `least` or more away from those beside them, in its unit, and by far more
-    than noise and motion explain."""
+    than noise and motion explain; none of a path without three points on either side of one."""
+    if len(path) < 7:
+        return np.zeros(len(path), dtype=bool)
     padded = np.pad(path, ((3, 3), (0, 0)), mode="reflect")
     beside = np.median([padded[k : k + len(path)] for k in (0, 1, 2, 4, 5, 6)], axis=0)
     away = np.linalg.norm(path - beside, axis=1)

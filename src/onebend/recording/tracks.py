@@ -515,8 +515,6 @@ def _without_strays(grids: Mapping[str, Array], wanted: list[int], least: float)
     out = []
     for i, marker in enumerate(wanted):
         known = np.flatnonzero(np.isfinite(grids["x_m"][:, i]) & np.isfinite(grids["y_m"][:, i]))
-        if len(known) < 7:  # three on either side
-            continue
         strays = known[signals.jumps(np.column_stack([grids["x_m"][known, i], grids["y_m"][known, i]]), least)]
         for grid in grids.values():
             grid[strays, i] = np.nan
