@@ -25,7 +25,7 @@ from onebend.live.guidance import CaptureState
 from onebend.live.recording_folder import FilmWriter
 from onebend.options import expanded
 from onebend.studio import requests
-from onebend.studio.filming import Filming, MadeRecording
+from onebend.studio.filming import RecordingJobs, MadeRecording
 from onebend.studio.places import StudioFolder
 from onebend.studio.recorder import QUALITY, WIDEST, capture_line, check_data, state_data, work
 from onebend.studio.recordings import jpeg_in
@@ -239,7 +239,7 @@ def test_where_an_outline_is_not_seen_nothing_is_told() -> None:
 
 
 def test_the_newest_pictures_are_kept_and_slow_tabs_miss_states_alone() -> None:
-    filming = Filming(lambda _: None)
+    filming = RecordingJobs(lambda _: None)
     filmed = filming.job = MadeRecording({"out": "new", "command": ""})
     with pytest.raises(StudioError, match="no picture"):
         filming.picture(1)

@@ -20,8 +20,8 @@ import onebend
 from onebend.crash import kept, tell, words
 from onebend.errors import OnebendError, StudioError
 from onebend.progress import end_now, own_process
-from onebend.studio.filming import Filming
-from onebend.studio.jobs import Drives, Jobs
+from onebend.studio.filming import RecordingJobs
+from onebend.studio.jobs import DriveJobs, Jobs
 from onebend.studio.places import StudioFolder
 from onebend.text_files import to_json
 
@@ -61,7 +61,7 @@ class Client:
 _MOST_BEAMS = 8
 _TURN = 5e-4  # s of the thread switch while mechanics load
 _RESTS = 0.3  # s without a drag before the exact ellipse
-WORKS: dict[str, type[Jobs]] = {"learn": Jobs, "check": Jobs, "loop": Jobs, "drive": Drives, "record": Filming}
+WORKS: dict[str, type[Jobs]] = {"learn": Jobs, "check": Jobs, "loop": Jobs, "drive": DriveJobs, "record": RecordingJobs}
 
 
 class Desk:

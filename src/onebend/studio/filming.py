@@ -66,7 +66,7 @@ class MadeRecording(Job):
             self.error = f"the recorder ended with {code}. {kept}"
 
 
-class Filming(Jobs):
+class RecordingJobs(Jobs):
     """At most one recording at a time."""
 
     kind = MadeRecording

@@ -149,7 +149,7 @@ class Jobs:
         self.changed(True)
 
 
-class Drives(Jobs):
+class DriveJobs(Jobs):
     """A plan, and the drive when `go` is said."""
 
     patience = 60.0  # s for a robot to release the beam and come back

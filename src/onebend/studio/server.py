@@ -23,7 +23,7 @@ from starlette.routing import Route, WebSocketRoute
 from onebend.crash import tell
 from onebend.errors import OnebendError, StudioError
 from onebend.studio.desk import Desk, said_of
-from onebend.studio.filming import Filming
+from onebend.studio.filming import RecordingJobs
 from onebend.studio.guard import MOST_STRANGERS, Guard
 from onebend.studio.jobs import Jobs
 from onebend.studio.places import StudioFolder
@@ -139,7 +139,7 @@ def shown(name: str, room: str) -> Work:
 
 async def picture(desk: Desk, asked: Asked) -> Response:
     number, filming = asked.get("n", ""), desk.works["record"]
-    assert isinstance(filming, Filming)
+    assert isinstance(filming, RecordingJobs)
     found = filming.picture(int(number) if number.isdecimal() and len(number) < 16 else 0)
     return Response(found, media_type="image/jpeg")
 
