@@ -25,7 +25,7 @@ from onebend.live.guidance import CaptureState
 from onebend.live.recording_folder import FilmWriter
 from onebend.options import expanded
 from onebend.studio import requests
-from onebend.studio.filming import RecordingJobs, MadeRecording
+from onebend.studio.filming import MadeRecording, RecordingJobs
 from onebend.studio.places import StudioFolder
 from onebend.studio.recorder import QUALITY, WIDEST, capture_line, check_data, state_data, work
 from onebend.studio.recordings import jpeg_in
