@@ -24,6 +24,7 @@ from onebend.results.model import read_model, save_model
 from onebend.studio.bending import Bending, bending_of, edge_lines
 from onebend.studio.desk import Desk
 from onebend.studio.places import StudioFolder
+from onebend.studio.words import Asked
 from tests import made_up
 from tests.studio.conftest import PORT, own
 
@@ -136,14 +137,14 @@ def test_a_beam_is_bent_in_the_set_up_that_it_was_learned_in(tmp_path: Path) -> 
     assert there["beyond_learned"] == 0.0
     far = bending.drag(goals[1].tolist())
     assert far["beyond_learned"] == pytest.approx(2.0, rel=0.05)
-    bending.change({"mode": "hand"})
+    bending.change(Asked({"mode": "hand"}))
     assert bending.stored.beam == bending.learned.beam
 
 
 def test_at_rest_no_command_is_shown(folder: Path) -> None:
     bending = bending_of("beam", folder / "beam")
     assert bending.still()["command"]
-    bending.change({"rest": True})
+    bending.change(Asked({"rest": True}))
     assert bending.still()["command"] == ""
 
 
@@ -199,12 +200,12 @@ def test_a_hand_holds_the_end_and_says_how_far_it_gets(working: TestClient) -> N
 @pytest.mark.parametrize("mode", ["hand", "point"])
 def test_no_edge_is_told_of_a_hand_that_has_let_go(folder: Path, monkeypatch: pytest.MonkeyPatch, mode: str) -> None:
     bending = bending_of("beam", folder / "beam")
-    bending.change({"mode": "hand"})
+    bending.change(Asked({"mode": "hand"}))
     told: list[dict[str, Any]] = []
 
     async def late(*_: Any) -> list[Any]:
         if mode == "point":
-            bending.change({"mode": mode})
+            bending.change(Asked({"mode": mode}))
         return []
 
     async def edge() -> None:
@@ -294,7 +295,7 @@ def test_a_tab_that_goes_is_forgotten_without_a_word(
 def test_settings_without_meaning_are_refused(folder: Path, settings: dict[str, Any]) -> None:
     bending = bending_of("beam", folder / "beam")
     with pytest.raises(StudioError):
-        bending.change(settings)
+        bending.change(Asked(settings))
     assert bending.version == 0
 
 

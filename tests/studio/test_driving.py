@@ -22,14 +22,17 @@ from onebend.studio import requests
 from onebend.studio.driving import work
 from onebend.studio.jobs import Job
 from onebend.studio.places import StudioFolder
+from onebend.studio.words import Asked
 from tests import made_up
 from tests.drive.cells import CellCamera, CellRobot, described, model_of, setup_for
 from tests.studio.conftest import done_here
 
 
-def asked_for(**more: Any) -> dict[str, Any]:
+def asked_for(**more: Any) -> Asked:
     x, y = np.asarray(model_of("linear").beam.equilibrium((0.0, 0.1)).xy(1.0)).reshape(2).tolist()
-    return {"model": "beam", "like": "like", "robot": "virtual:linear", "out": "driven", "goal_m": [x, y], **more}
+    return Asked(
+        {"model": "beam", "like": "like", "robot": "virtual:linear", "out": "driven", "goal_m": [x, y], **more}
+    )
 
 
 @pytest.fixture

@@ -30,6 +30,7 @@ from onebend.studio.places import StudioFolder
 from onebend.studio.recorder import QUALITY, WIDEST, capture_line, check_data, state_data, work
 from onebend.studio.recordings import jpeg_in
 from onebend.studio.requests import check_source, sources_data
+from onebend.studio.words import Asked
 from onebend.studio.worker import Studio
 from tests.live.streamed import frames, log, toml
 from tests.recording.filmed import HEIGHT, WIDTH
@@ -54,9 +55,9 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> StudioFolder:
     return StudioFolder.of(root / "studio")
 
 
-def asked(**more: Any) -> dict[str, Any]:
+def asked(**more: Any) -> Asked:
     """What the page sends."""
-    return {"out": "new", "like": "played", "camera": "film:played", "force": "log:played", **more}
+    return Asked({"out": "new", "like": "played", "camera": "film:played", "force": "log:played", **more})
 
 
 @pytest.mark.parametrize("name", ["..", "../secret", "/tmp/x", "link", "link/inner", "a/../../b", "", ".", "x\\y", 3])
@@ -103,7 +104,7 @@ def test_no_recording_leads_a_source_out_of_the_folder(places: StudioFolder, key
     for name in ("evil", "evil/recording.toml"):
         with pytest.raises(StudioError, match=rf"leads out of {places.root}"):
             requests.record(places, asked(**{key: f"{kind}:{name}"}))
-    found = sources_data(places)
+    found = sources_data(places, Asked())
     assert "evil" not in found["films" if key == "camera" else "logs"]
     assert "played" in found["films"]
     shutil.rmtree(evil)
@@ -174,7 +175,7 @@ def test_the_command_beside_is_one_of_the_commands(places: StudioFolder) -> None
 
 
 def test_the_sources_are_the_recorders(places: StudioFolder) -> None:
-    found = sources_data(places)
+    found = sources_data(places, Asked())
     assert (found["films"], found["logs"], found["begun"]) == (["played"], ["played"], ["begun"])
     assert {"example", "says", "keys"} == set(found["cameras"][0])
     assert "log:REC" in [one["example"] for one in found["forces"]]

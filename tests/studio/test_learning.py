@@ -24,6 +24,7 @@ from onebend.results.model import read_model
 from onebend.studio.jobs import Job
 from onebend.studio.learned import film_data, result_data
 from onebend.studio.places import StudioFolder
+from onebend.studio.words import Asked
 from tests.studio.conftest import own
 
 
@@ -67,7 +68,7 @@ def film(folder: Path, data: str | None) -> dict[str, Any] | None:
     (folder / "model.json").write_text("{}")
     if data is not None:
         (folder / "report.html").write_text(f'<html><script type="application/json" id="data">{data}</script>')
-    return film_data(StudioFolder.of(folder.parent), {"name": folder.name})
+    return film_data(StudioFolder.of(folder.parent), Asked(name=folder.name))
 
 
 def test_the_film_is_the_reports(tmp_path: Path) -> None:
@@ -97,7 +98,7 @@ def test_a_job_says_its_stages_in_order() -> None:
 
 
 def result(folder: Path, name: str) -> dict[str, Any]:
-    return result_data(StudioFolder.of(folder), {"name": name})
+    return result_data(StudioFolder.of(folder), Asked(name=name))
 
 
 def settled(client: TestClient, seconds: float = 90.0) -> dict[str, Any]:

@@ -23,17 +23,14 @@ from onebend.studio.bending import beam_data
 from onebend.studio.looping import MOST_MOMENTS
 from onebend.studio.places import StudioFolder
 from onebend.studio.requests import loop
+from onebend.studio.words import Asked
 from tests.studio.conftest import done_here, own
 from tests.studio.test_recordings import ended
 
 
-def asked_for(folder: Path, **more: Any) -> dict[str, Any]:
-    return {
-        "model": "beam",
-        "goal_m": beam_data(StudioFolder.of(folder), {"name": "beam"})["goal_m"],
-        "duration_s": 2,
-        **more,
-    }
+def asked_for(folder: Path, **more: Any) -> Asked:
+    goal = beam_data(StudioFolder.of(folder), Asked(name="beam"))["goal_m"]
+    return Asked({"model": "beam", "goal_m": goal, "duration_s": 2, **more})
 
 
 def test_a_beam_is_shown_with_a_goal_that_it_reaches(client: TestClient, folder: Path) -> None:

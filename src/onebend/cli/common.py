@@ -32,7 +32,7 @@ from rich.text import Text
 
 from onebend.cli import GIVEN
 from onebend.errors import RecordingError, reference
-from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish, unplaced, write_summary
+from onebend.files.publish import OutputFolder, publish, workplace, write_summary
 from onebend.options import POSITIVE, Only, option
 from onebend.progress import Progress, Silent
 from onebend.records import Array, Remark
@@ -168,24 +168,6 @@ def screen() -> Console:
 def stderr_screen() -> Console:
     """Standard error, escaped."""
     return text_alone(Console(stderr=True, highlight=False))
-
-
-@contextmanager
-def workplace(out: Path, kind: str, overwrite: bool) -> Iterator[OutputFolder]:
-    """For results in `out`; an early end says what is there."""
-    place = prepare(out, kind=kind, overwrite=overwrite)
-    try:
-        yield place
-    except BaseException as error:
-        abandon(place)
-        if place.published:
-            error.add_note(f"The results are in {out}, but for the pictures.")
-        elif (whole := unplaced(place)) is not None:
-            error.add_note(f"The results themselves are in {whole}.")
-        elif isinstance(error, KeyboardInterrupt):
-            error.add_note("Nothing was written.")
-        raise
-    finish(place)
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from rich.text import Text
 from onebend.cli import common
 from onebend.cli.models import SetUpOptions, read_trusted
 from onebend.cli.screens import show_damping, show_frequencies, show_run, show_sensed, show_validation
-from onebend.files.publish import amend, this_onebend
+from onebend.files.publish import amend, this_onebend, workplace
 from onebend.files.single_file import check_name_free, write_file
 from onebend.learning import design, optimizer, paper, swing
 from onebend.learning.sensing.sense import SenseSettings, sense as sense_force
@@ -170,7 +170,7 @@ def learn(
     settings = replace(settings, method="paper" if method == "paper" else "regression")
     fit = fitting if method == "fit" else None
     frames = KeptFrames()
-    with common.workplace(out, learned_files.LEARN_FORMAT, told.overwrite) as place:
+    with workplace(out, learned_files.LEARN_FORMAT, told.overwrite) as place:
         inputs = inputs_of(recording_files([*recordings, *(validate_on or ())]))
         with common.progress_of(told) as progress:
             run = learn_from(

@@ -15,6 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from onebend.cli import common
+from onebend.files.publish import workplace
 from onebend.many import batch as batches, population_report
 from onebend.many.batch import BatchOutcome, run_batch
 from onebend.many.population import TABLES, read_batch
@@ -124,7 +125,7 @@ def population(
     told: common.OwnOutput,
 ) -> None:
     with (
-        common.workplace(output, population_report.POPULATION_FORMAT, told.overwrite) as place,
+        workplace(output, population_report.POPULATION_FORMAT, told.overwrite) as place,
         common.progress_of(told) as progress,
     ):
         inputs = inputs_of([results / f"{name}.parquet" for name in TABLES])

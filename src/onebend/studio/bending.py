@@ -29,8 +29,8 @@ from onebend.control.reach_set import DragAnswer, DraggedPoint, Edge, HeldEnd, R
 from onebend.errors import ControlError, StudioError
 from onebend.records import Array, BoolArray
 from onebend.results.model import StoredModel, read_model
-from onebend.studio.asked import asked_name, asked_number, line, number, number_if_any, places_of, rounded
 from onebend.studio.places import StudioFolder
+from onebend.studio.words import Asked, line, places_of, rounded
 
 # Slow work for a separate process: reachable set, edge of a hand, ellipse. Beams are sent as plain data and cached.
 
@@ -45,9 +45,9 @@ def bending_force(beam: Beam) -> float:
     return 1.0 / (float(np.mean((1.0 - s) ** 2 / np.asarray(beam.stiffness(s)))) * beam.length)
 
 
-def beam_data(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
+def beam_data(places: StudioFolder, asked: Asked) -> dict[str, Any]:
     """The beam at rest, and an initial goal. Raises `ResultsError` for an unreadable model."""
-    name = asked_name(asked)
+    name = asked.name()
     stored = read_model(places.result(name))
     beam = stored.beam
     force = BEGIN_TURN * bending_force(beam)
@@ -62,11 +62,11 @@ def beam_data(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def reach_asked(places: StudioFolder, asked: Mapping[str, Any]) -> tuple[str, float, float, float]:
+def reach_asked(places: StudioFolder, asked: Asked) -> tuple[str, float, float, float]:
     """Beam as JSON, two places, largest force [N]. Raises `StudioError` for an invalid request."""
-    beam = read_model(places.result(asked_name(asked, "model"))).beam
-    most = number_if_any(asked, "max_force_N") or LARGEST_TIMES * bending_force(beam)
-    return json.dumps(beam.as_dict(), sort_keys=True), number(asked, "push_s"), number(asked, "point_s"), most
+    beam = read_model(places.result(asked.name("model"))).beam
+    most = asked.number_if_any("max_force_N") or LARGEST_TIMES * bending_force(beam)
+    return json.dumps(beam.as_dict(), sort_keys=True), asked.number("push_s"), asked.number("point_s"), most
 
 
 @lru_cache(maxsize=4)
@@ -175,13 +175,13 @@ class Bending:
             "band": known is not None,
         }
 
-    def change(self, wanted: dict[str, Any]) -> None:
+    def change(self, wanted: Asked) -> None:
         """Changes places, bound or mode. Raises `StudioError` for invalid ones."""
         mode: Mode = "point" if wanted.get("rest") is True else wanted.get("mode", self.mode)
         if mode not in ("point", "hand"):
             raise StudioError("a beam is bent at a point or by a hand")
-        push_s, point_s = (asked_number(wanted, name, 1e-6, 1.0, getattr(self, name)) for name in ("push_s", "point_s"))
-        max_force = asked_number(wanted, "max_force_N", 1e-9, 1e6, self.max_force)
+        push_s, point_s = (wanted.number(name, (1e-6, 1.0, getattr(self, name))) for name in ("push_s", "point_s"))
+        max_force = wanted.number("max_force_N", (1e-9, 1e6, self.max_force))
         if mode == "hand":
             push_s = point_s = 1.0
         same = (push_s, point_s, max_force) == (self.push_s, self.point_s, self.max_force)

@@ -23,6 +23,7 @@ from onebend.progress import end_now, own_process
 from onebend.studio.filming import RecordingJobs
 from onebend.studio.jobs import DriveJobs, Jobs
 from onebend.studio.places import StudioFolder
+from onebend.studio.words import Asked
 from onebend.text_files import to_json
 
 if TYPE_CHECKING:
@@ -146,7 +147,7 @@ class Desk:
             self._spawn(self._map(model))
         await self._show(model, lambda: None, (client,))
 
-    async def _set(self, model: str, settings: dict[str, Any]) -> None:
+    async def _set(self, model: str, settings: Asked) -> None:
         bending = self._beam(model)
         await self._show(model, partial(bending.change, settings), tuple(self.clients))
         if bending.point.map is None:
@@ -288,7 +289,7 @@ def request_of(text: str) -> dict[str, Any] | None:
             "model": str(message["model"]),
             "n": int(message.get("n", 0)),
             "goal": [float(one) for one in message.get("goal", ())[:3]],
-            "settings": dict(message.get("settings", {})),
+            "settings": Asked(message.get("settings", {})),
         }
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         return None

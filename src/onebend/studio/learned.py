@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,8 +12,8 @@ from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import StudioError
 from onebend.files.publish import LARGEST, SUMMARY, read_object
 from onebend.results.model import StoredModel, read_model
-from onebend.studio.asked import asked_name
 from onebend.studio.places import StudioFolder
+from onebend.studio.words import Asked
 
 REPORT = "report.html"
 _LARGEST_REPORT = 32 * 2**20  # bytes
@@ -23,9 +22,9 @@ _S = np.linspace(0.0, 1.0, 101)
 _LEVELS = (0.95, 0.8, 0.5)
 
 
-def result_data(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
+def result_data(places: StudioFolder, asked: Asked) -> dict[str, Any]:
     """Verdict, k(s) with bands, errors and remarks. Raises `ResultsError` for an unreadable model."""
-    name = asked_name(asked)
+    name = asked.name()
     folder = places.result(name)
     stored = read_model(folder)
     summary = read_object(folder / SUMMARY, LARGEST) or {}
@@ -65,10 +64,10 @@ def known_curve(known: UncertainStiffness) -> dict[str, Any]:
     return found
 
 
-def film_data(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any] | None:
+def film_data(places: StudioFolder, asked: Asked) -> dict[str, Any] | None:
     """The report's frames with the fitted beam in pixels; None without a film. Raises `StudioError` without a report of
     onebend."""
-    folder = places.result(asked_name(asked))
+    folder = places.result(asked.name())
     path = folder / REPORT
     try:
         if path.is_symlink():  # which may lead anywhere

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
@@ -11,6 +10,7 @@ from typing import Any, Literal
 from onebend.errors import StudioError
 from onebend.files.publish import read_object
 from onebend.files.single_file import FILMS, LOGS
+from onebend.studio.words import Asked
 
 RECORDING, RESULT_SUMMARY, MODEL = "recording.toml", "summary.json", "model.json"
 _DEEPEST, _MOST_FOLDERS = 5, 5000  # of the search
@@ -29,7 +29,7 @@ class Found:
     about: dict[str, Any]  # of a result: recordings, grade, known
 
 
-def places_data(places: StudioFolder, _asked: Mapping[str, Any]) -> dict[str, Any]:
+def places_data(places: StudioFolder, _asked: Asked) -> dict[str, Any]:
     """What the folder holds."""
     rows = [{"name": one.name, "kind": one.kind, "changed": one.changed, **one.about} for one in places.found()]
     return {"folder": str(places.root), "found": rows}

@@ -26,8 +26,8 @@ from onebend.recording.tag_finder import Finder
 from onebend.recording.template import write_template
 from onebend.recording.video import pictures_at
 from onebend.report.overview import SOFTWARE, overview
-from onebend.studio.asked import asked_name, check_command
 from onebend.studio.places import RECORDING, StudioFolder
+from onebend.studio.words import Asked, check_line
 from onebend.studio.worker import Studio, end
 from onebend.text_files import MOST_TOML
 
@@ -39,44 +39,26 @@ MOST_SHOWN = 200  # mistakes
 _saving = threading.Lock()  # for tabs of this studio
 
 
-def answer(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """Does "what" is asked of a recording. Raises an `OnebendError`."""
-    what, name = str(asked.get("what")), asked_name(asked)
-    try:
-        if what == "read":
-            return read(places, name)
-        if what == "check":
-            return checked(places.recording(name), _text(asked))
-        if what == "save":
-            return save(places.recording(name), _text(asked), str(asked.get("version", "")))
-        if what == "new":
-            return begun(places, name)
-        if what == "frame":
-            return first_frame(places, name, *(str(asked.get(key, "")) for key in ("file", "topic", "family")))
-    except OSError as error:
-        raise StudioError(f"{error.filename or name}: {error.strerror or error}") from error
-    raise StudioError(f"a recording is read, checked, saved and begun; there is no {what[:100]!r}")
-
-
-def _text(asked: Mapping[str, Any]) -> str:
+def _text(asked: Asked) -> str:
     text = asked.get("text")
     if not isinstance(text, str) or len(text) > MOST_TOML:
         raise StudioError(f"the text of {RECORDING} has at most {MOST_TOML} characters")
     return text
 
 
-def read(places: StudioFolder, name: str) -> dict[str, Any]:
+def read(places: StudioFolder, asked: Asked) -> dict[str, Any]:
     """Text, version and check. Raises `StudioError` if it is no text, or too long."""
+    name = asked.name()
     folder = places.recording(name)
     data = (folder / RECORDING).read_bytes()[: MOST_TOML + 1]
     text = as_text(data)
-    return {
-        "name": name,
-        "text": text,
-        "version": version_of(data),
-        "command": check_command(name),
-        **checked(folder, text),
-    }
+    about = {"name": name, "text": text, "version": version_of(data), "command": check_line(name)}
+    return about | checked(folder, text)
+
+
+def check(places: StudioFolder, asked: Asked) -> dict[str, Any]:
+    """Of a text that is not saved."""
+    return checked(places.recording(asked.name()), _text(asked))
 
 
 def as_text(data: bytes) -> str:
@@ -133,31 +115,32 @@ def _rows(found: Any) -> list[dict[str, Any]]:
     return [one for one in rows if isinstance(one, dict) and isinstance(one.get("id"), int)]
 
 
-def save(folder: Path, text: str, version: str) -> dict[str, Any]:
+def save(places: StudioFolder, asked: Asked) -> dict[str, Any]:
     """Replaces the file if it has this version. Returns the new "version", or "conflict" with the file's "text" and
     "version"."""
-    path = folder / RECORDING
+    path, text = places.recording(asked.name()) / RECORDING, _text(asked)
     with _saving:
         before = path.read_bytes()
         data = as_bytes(text, before)
-        if version_of(before) == version:
+        if version_of(before) == asked.name("version"):
             write_file(path, data, overwrite=True)
             return {"version": version_of(data)}
     return {"conflict": True, "text": as_text(before[: MOST_TOML + 1]), "version": version_of(before)}
 
 
-def begun(places: StudioFolder, name: str) -> dict[str, Any]:
+def new(places: StudioFolder, asked: Asked) -> dict[str, Any]:
     """A new file from the template."""
-    folder = places.path(name)
+    folder = places.path(asked.name())
     if not folder.is_dir():
-        raise StudioError(f"there is no folder {name}")
+        raise StudioError(f"there is no folder {asked.name()}")
     write_template(folder, everything=True)
-    return {"name": name}
+    return {"name": asked.name()}
 
 
-def first_frame(places: StudioFolder, name: str, file: str, topic: str, family: str) -> dict[str, Any]:
+def frame(places: StudioFolder, asked: Asked) -> dict[str, Any]:
     """The first frame, and its tags in pixels. Raises `StudioError` for a film outside the studio's folder,
     `RecordingError` if it has no frame."""
+    name, file, topic, family = (asked.name(key) for key in ("name", "file", "topic", "family"))
     path = places.beside(name, file)
     if family not in FAMILIES:
         raise StudioError(f"{family[:100]!r} is no family of tags")
@@ -192,9 +175,9 @@ def jpeg_in(picture: Image.Image, widest: int, quality: int) -> str:
     return base64.b64encode(memory.getvalue()).decode("ascii")
 
 
-def check_picture_of(places: StudioFolder, asked: Mapping[str, Any]) -> bytes:
+def check_picture_of(places: StudioFolder, asked: Asked) -> bytes:
     """Raises `StudioError` if there is none."""
-    name = asked_name(asked)
+    name = asked.name()
     places.recording(name)
     path = places.path(f"{name}/{PICTURE}")
     try:

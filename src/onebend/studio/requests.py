@@ -7,7 +7,6 @@ or invalid entries, and for paths outside the studio's folder.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -16,20 +15,8 @@ from onebend.lab.designs import DESIGNS
 from onebend.live.specs import CAMERAS, FORCES
 from onebend.recording.entries import Recording
 from onebend.recording.folder import read_recording
-from onebend.studio.asked import (
-    NUMBERS,
-    asked_goal,
-    asked_name,
-    asked_text,
-    check_command,
-    line,
-    number,
-    number_if_any,
-    places_of,
-    plain_word,
-    rounded,
-)
 from onebend.studio.places import RECORDING, StudioFolder, is_file
+from onebend.studio.words import NUMBERS, Asked, check_line, line, places_of, plain, rounded
 
 MOST_RECORDINGS = 50
 _FILES = ("film", "log", "csv")  # source kinds that are files
@@ -39,39 +26,39 @@ _STREAMS = ("rtsp://", "rtsps://", "rtmp://", "http://", "https://", "udp://", "
 _DEVICES = ("video*", "serial/by-id/*", "ttyUSB*", "ttyACM*")
 
 
-def learn(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
+def learn(places: StudioFolder, asked: Asked) -> dict[str, Any]:
     recordings, validate = _names(places, asked, "recordings"), _names(places, asked, "validate")
     if not recordings:
         raise StudioError("choose a recording to learn from")
-    out = asked_text(asked, "out") or f"{Path(recordings[0]).name}-results"
+    out = asked.text("out") or f"{Path(recordings[0]).name}-results"
     if places.path(out) == places.root:
         raise StudioError("results go to a folder of their own")
     checks = [word for one in validate for word in ("--validate", one)]
-    command = line("learn", *recordings, "--output", plain_word(out), *checks, force=asked.get("replace") is True)
+    command = line("learn", *recordings, "--output", plain(out), *checks, force=asked.get("replace") is True)
     return {"recordings": recordings, "validate": validate, "out": out, "command": command}
 
 
-def check(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
-    name = asked_name(asked)
+def check(places: StudioFolder, asked: Asked) -> dict[str, Any]:
+    name = asked.name()
     places.recording(name)
-    return {"name": name, "command": check_command(name)}
+    return {"name": name, "command": check_line(name)}
 
 
-def loop(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
-    model = asked_name(asked, "model")
+def loop(places: StudioFolder, asked: Asked) -> dict[str, Any]:
+    model = asked.name("model")
     places.result(model)
     keys = ("push_s", "point_s", "k_error", "delay_ms", "fps", "noise_mm", "duration_s")
-    numbers = {key: number(asked, key) for key in keys}
-    draws, most = int(number(asked, "draws")), number_if_any(asked, "max_force_N")
-    goal, at = asked_goal(asked), places_of(numbers["push_s"], numbers["point_s"])
+    numbers = {key: asked.number(key) for key in keys}
+    draws, most = int(asked.number("draws")), asked.number_if_any("max_force_N")
+    goal, at = asked.goal, places_of(numbers["push_s"], numbers["point_s"])
     beams = {"draws": draws} if draws else {"k_error": numbers["k_error"]}
     seen = {key: numbers[key] for key in keys[3:]}
-    command = line("loop", plain_word(model), goal=goal, **at, **beams, **seen, max_force_N=most)
+    command = line("loop", plain(model), goal=goal, **at, **beams, **seen, max_force_N=most)
     return {**numbers, "model": model, "goal_m": goal, "draws": draws, "max_force_N": most, "command": command}
 
 
-def drive(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
-    model, like, robot, camera, out = (asked_text(asked, key) for key in ("model", "like", "robot", "camera", "out"))
+def drive(places: StudioFolder, asked: Asked) -> dict[str, Any]:
+    model, like, robot, camera, out = (asked.text(key) for key in ("model", "like", "robot", "camera", "out"))
     places.result(model)
     places.recording(like)
     if is_file(_own_folder(places, out, "a drive is recorded into") / RECORDING):
@@ -83,16 +70,16 @@ def drive(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
         places.path(design)
     if camera:
         check_source(places, camera)
-    model, like, out = map(plain_word, (model, like, out))
-    push_s, point_s, goal = number(asked, "push_s"), number(asked, "point_s"), asked_goal(asked)
+    model, like, out = map(plain, (model, like, out))
+    push_s, point_s, goal = asked.number("push_s"), asked.number("point_s"), asked.goal
     seen = {"like": like, "robot": robot, "camera": camera}
     command = line("drive", model, out, goal=goal, **places_of(push_s, point_s), **seen, go=True)
     shown = {"model": model, "out": out, "push_s": push_s, "point_s": point_s, "goal_m": goal}
     return {**shown, **seen, "command": command}
 
 
-def record(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
-    out, like, camera, force = (asked_text(asked, key) for key in ("out", "like", "camera", "force"))
+def record(places: StudioFolder, asked: Asked) -> dict[str, Any]:
+    out, like, camera, force = (asked.text(key) for key in ("out", "like", "camera", "force"))
     if not camera:
         raise StudioError("name a camera: /dev/video0, or film:REC to play a recording")
     if is_file(_own_folder(places, out, "a recording goes to") / RECORDING):
@@ -103,23 +90,23 @@ def record(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
             _check_inside(places, table)
     for spec in (camera, force):
         check_source(places, spec)
-    seen, out = {"camera": camera, "force": force, "like": plain_word(like)}, plain_word(out)
-    share = number_if_any(asked, "until_percent")
+    seen, out = {"camera": camera, "force": force, "like": plain(like)}, plain(out)
+    share = asked.number_if_any("until_percent")
     until = None if share is None else f"{rounded(share, 9)}%"
-    given = {"longest_s": number(asked, "longest_s"), "crf": round(number(asked, "crf"))}
+    given = {"longest_s": asked.number("longest_s"), "crf": round(asked.number("crf"))}
     unusual = {key: value for key, value in given.items() if value != NUMBERS[key][-1]}
     flags = {key: asked.get(key) is True for key in ("now", "no_learning", "fast", "overwrite")}
     return {"out": out, "command": line("record", out, **seen, until=until, **unusual, **flags)}
 
 
-def _names(places: StudioFolder, asked: Mapping[str, Any], key: str) -> list[str]:
+def _names(places: StudioFolder, asked: Asked, key: str) -> list[str]:
     """Recordings of the studio's folder."""
     found = asked.get(key, [])
     if not isinstance(found, list) or len(found) > MOST_RECORDINGS or not all(isinstance(one, str) for one in found):
         raise StudioError(f"{key}: give names of recordings")
     for one in found:
         places.recording(one)
-    return [plain_word(one) for one in found]
+    return [plain(one) for one in found]
 
 
 def _own_folder(places: StudioFolder, name: str, what: str) -> Path:
@@ -173,7 +160,7 @@ def _described(places: StudioFolder, folder: Path) -> Recording | None:
         return None
 
 
-def sources_data(places: StudioFolder, _asked: Mapping[str, Any] = {}) -> dict[str, Any]:
+def sources_data(places: StudioFolder, _asked: Asked) -> dict[str, Any]:
     """Kinds of sources, connected devices, and recordings to play."""
     films, logs, begun = [], [], []
     for one in places.found():

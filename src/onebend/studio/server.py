@@ -27,6 +27,7 @@ from onebend.studio.filming import RecordingJobs
 from onebend.studio.guard import MOST_STRANGERS, Guard
 from onebend.studio.jobs import Jobs
 from onebend.studio.places import StudioFolder
+from onebend.studio.words import Asked
 from onebend.text_files import to_json
 
 PAGE = Path(__file__).parent / "page"
@@ -70,7 +71,7 @@ async def _page_file(request: Request) -> Response:
 
 # Answers to requests: functions of the desk, and of what is asked by the address or the body.
 
-Asked = dict[str, Any]
+Data = dict[str, Any]
 Work = Callable[[Desk, Asked], Awaitable[Any]]
 
 
@@ -89,25 +90,28 @@ async def check_picture(desk: Desk, asked: Asked) -> Response:
     return Response(await _of_room("recordings:check_picture_of", desk, asked), media_type="image/png")
 
 
-async def recordings(desk: Desk, asked: Asked) -> Asked:
-    found: Asked = await _of_room("recordings:answer", desk, asked)
-    if asked["what"] == "new":
+async def recordings(desk: Desk, asked: Asked) -> Data:
+    what = asked["what"]
+    if what not in ("read", "check", "save", "new", "frame"):
+        raise StudioError(f"a recording is read, checked, saved and begun; there is no {what[:100]!r}")
+    found: Data = await _of_room(f"recordings:{what}", desk, asked)
+    if what == "new":
         desk.tell({"what": "places"})
-    if asked["what"] == "save" and "conflict" not in found:
+    if what == "save" and "conflict" not in found:
         desk.tell({"what": "saved", "name": asked["name"], "version": found["version"]})
     return found
 
 
-async def reach(desk: Desk, asked: Asked) -> Asked:
+async def reach(desk: Desk, asked: Asked) -> Data:
     return await desk.reach(*await _of_room("bending:reach_asked", desk, asked))
 
 
-async def work(desk: Desk, asked: Asked) -> Asked:
+async def work(desk: Desk, asked: Asked) -> Data:
     job = _work(desk, asked).job
     return {"job": job and job.shown(), "found": [] if job is None else job.found}
 
 
-async def do_work(desk: Desk, asked: Asked) -> Asked:
+async def do_work(desk: Desk, asked: Asked) -> Data:
     jobs, room, what = _work(desk, asked), asked["room"], asked["what"]
     if what != "start":
         await jobs.do(what)
@@ -125,13 +129,13 @@ def _work(desk: Desk, asked: Asked) -> Jobs:
 
 def done(**known: str) -> Work:
     """`do_work` of what is known of the room and the work."""
-    return lambda desk, asked: do_work(desk, asked | known)
+    return lambda desk, asked: do_work(desk, Asked(asked | known))
 
 
 def shown(name: str, room: str) -> Work:
     """The work of a room, under this name."""
 
-    async def found(desk: Desk, _asked: Asked) -> Asked:
+    async def found(desk: Desk, _asked: Asked) -> Data:
         return desk.shown(name, room)
 
     return found
@@ -172,9 +176,11 @@ def answered(work: Callable[[Asked], Awaitable[Any]]) -> Callable[[Request], Awa
     async def inside(request: Request) -> Response:
         try:
             asked = await _posted(request) if request.method == "POST" else dict(request.query_params)
-            found = await work(asked | request.path_params)
+            found = await work(Asked(asked | request.path_params))
         except OnebendError as error:
             return _said({"error": str(error)}, 422)
+        except OSError as error:
+            return _said({"error": f"{error.filename or 'a file'}: {error.strerror or error}"}, 422)
         except ClientDisconnect:  # nobody is there to be answered
             return Response(status_code=400)
         return found if isinstance(found, Response) else _said(found)
