@@ -10,6 +10,7 @@ from onebend.cli.control import trial_name
 from onebend.control.loop import Controller
 from onebend.control.loop_simulation import SETTLED, LoopTrial
 from onebend.lab.rehearsal_commands import simulation
+from onebend.results.control_files import margins_data
 from onebend.studio.worker import Studio, end
 
 MOST_MOMENTS = 600  # shown per beam
@@ -27,10 +28,8 @@ def work(studio: Studio, **options: Any) -> None:
 
 def control_data(control: Controller) -> dict[str, Any]:
     """Force, gains and margins; null is infinite."""
-    known = control.margins()
-    margins = {"gain": known.gain, "phase_rad": known.phase, "delay_s": known.delay, "softest": known.softest}
     reference = {"force_N": control.reference.ends.tolist(), "rise_s": control.reference.rise}
-    return {**reference, "rate_per_s": control.gains.rate, **margins}
+    return {**reference, "rate_per_s": control.gains.rate, **margins_data(control.margins())}
 
 
 def trial_data(trial: LoopTrial) -> dict[str, Any]:
