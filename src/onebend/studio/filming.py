@@ -44,17 +44,13 @@ class MadeRecording(Job):
             self.pictures[max(self.pictures, default=0) + 1] = base64.b64decode(said["picture"])
             for number in sorted(self.pictures)[:-_KEPT]:
                 del self.pictures[number]
-        self.passing = "state" in said
-        if self.passing:
-            self.known, self.curve = said["state"], said.get("curve", self.curve)
-            if self.phase == "starting":
-                self.phase = "recording"
-        self.length_m = said.get("length_m", self.length_m)
-        if "outcome" in said:
-            self.outcome = said["outcome"]
-            self.phase = "checking" if self.outcome["begun"] else self.phase
-        self.check = said.get("check", self.check)
-        self.error = said.get("error", self.error)
+        self.passing, self.known = "state" in said, said.get("state", self.known)
+        for name in {"length_m", "curve", "outcome", "check", "error"} & set(said):
+            setattr(self, name, said[name])
+        if self.passing and self.phase == "starting":
+            self.phase = "recording"
+        elif "outcome" in said and said["outcome"]["begun"]:
+            self.phase = "checking"
 
     def end(self, code: int) -> None:
         self.passing = False

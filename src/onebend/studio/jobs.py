@@ -41,17 +41,9 @@ class Job:
         return f"another runs: {self.wanted['command']}. Stop it, or wait"
 
     def shown(self) -> dict[str, Any]:
-        return {
-            **{name: value for name, value in self.wanted.items() if name != "folder"},
-            "began": self.began,
-            "seconds": (self.ended or time.time()) - self.began,
-            "stages": self.stages,
-            "state": self.state,
-            "error": self.error,
-            "published": self.published,
-            "found": len(self.found),
-            "now": self.now,
-        }
+        asked = {name: value for name, value in self.wanted.items() if name != "folder"}
+        known = {name: getattr(self, name) for name in ("began", "stages", "state", "error", "published", "now")}
+        return {**asked, **known, "seconds": (self.ended or time.time()) - self.began, "found": len(self.found)}
 
     def hear(self, said: dict[str, Any]) -> None:
         if "stage" in said:
@@ -60,14 +52,10 @@ class Job:
                 self.stages[-1] = row
             else:
                 self.stages.append(row)
-        elif said.get("published") is True:
-            self.published = True
         elif "found" in said:
             self.found.append(said["found"])
-        elif "now" in said:
-            self.now = said["now"]
-        elif "error" in said:
-            self.error = str(said["error"])
+        for name in {"published", "now", "error"} & set(said):
+            setattr(self, name, said[name])
 
     def end(self, code: int) -> None:
         """The process ended."""

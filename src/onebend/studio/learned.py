@@ -13,7 +13,7 @@ from onebend.errors import StudioError
 from onebend.files.publish import LARGEST, SUMMARY, read_object
 from onebend.results.model import StoredModel, read_model
 from onebend.studio.places import StudioFolder
-from onebend.studio.words import Asked
+from onebend.studio.words import Asked, object_of, objects_of
 
 REPORT = "report.html"
 _LARGEST_REPORT = 32 * 2**20  # bytes
@@ -28,7 +28,7 @@ def result_data(places: StudioFolder, asked: Asked) -> dict[str, Any]:
     folder = places.result(name)
     stored = read_model(folder)
     summary = read_object(folder / SUMMARY, LARGEST) or {}
-    fit, origin = _object(summary.get("fit")), _object(summary.get("provenance"))
+    fit, origin = object_of(summary.get("fit")), object_of(summary.get("provenance"))
     return {
         "name": name,
         "changed": [words for words in (stored.changed, stored.swapped) if words],
@@ -37,8 +37,8 @@ def result_data(places: StudioFolder, asked: Asked) -> dict[str, Any]:
         "verdict": summary.get("verdict"),
         **{key: summary.get(key, []) for key in ("recordings", "training", "validation")},
         "fitted_rms_m": fit.get("fitted_rms_m"),
-        "allowances": [one for one in _objects(fit.get("allowances")) if one.get("matters")],
-        "remarks": [one for one in _objects(summary.get("remarks")) if one.get("level") == "warning"],
+        "allowances": [one for one in objects_of(fit.get("allowances")) if one.get("matters")],
+        "remarks": [one for one in objects_of(summary.get("remarks")) if one.get("level") == "warning"],
         "command": origin.get("command"),
         "written": origin.get("written"),
         "report": (folder / REPORT).is_file(),
@@ -85,13 +85,4 @@ def film_data(places: StudioFolder, asked: Asked) -> dict[str, Any] | None:
         raise StudioError(f"{path.name} was changed. Learn again") from error
     if not isinstance(film, dict):
         return None
-    return film | {"tag_id": _object(data.get("curve")).get("tag_id", [])}
-
-
-def _object(value: Any) -> dict[str, Any]:
-    """The value if it is an object, else an empty one."""
-    return value if isinstance(value, dict) else {}
-
-
-def _objects(value: Any) -> list[dict[str, Any]]:
-    return [one for one in value if isinstance(one, dict)] if isinstance(value, list) else []
+    return film | {"tag_id": object_of(data.get("curve")).get("tag_id", [])}

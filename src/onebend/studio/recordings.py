@@ -9,7 +9,6 @@ import base64
 import hashlib
 import io
 import threading
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ from onebend.recording.template import write_template
 from onebend.recording.video import pictures_at
 from onebend.report.overview import SOFTWARE, overview
 from onebend.studio.places import RECORDING, StudioFolder
-from onebend.studio.words import Asked, check_line
+from onebend.studio.words import Asked, check_line, object_of, objects_of
 from onebend.studio.worker import Studio, end
 from onebend.text_files import MOST_TOML
 
@@ -90,29 +89,20 @@ def version_of(data: bytes) -> str:
 def checked(folder: Path, text: str) -> dict[str, Any]:
     """Mistakes line by line, tags and film."""
     found = check_text(folder, text)
-    tags, video = _table(found.data, "tags"), _table(found.data, "video")
+    tags, video = (object_of(found.data.get(name)) for name in ("tags", "video"))
     return {
         "mistakes": [{"line": line, "text": words} for line, words in found.mistakes[:MOST_SHOWN]],
         "remarks": [one.as_dict() for one in found.remarks],
         "tags": [
             {"id": one["id"], "base": group == "on_base", "s": one.get("s")}
             for group in ("on_base", "on_beam")
-            for one in _rows(tags.get(group))
+            for one in objects_of(tags.get(group))
+            if isinstance(one.get("id"), int)
         ],
         "family": tags.get("family", FAMILIES[0]),
         "file": video.get("file", ""),
         "topic": video.get("topic", ""),
     }
-
-
-def _table(data: Mapping[str, Any], name: str) -> dict[str, Any]:
-    found = data.get(name, {})
-    return found if isinstance(found, dict) else {}
-
-
-def _rows(found: Any) -> list[dict[str, Any]]:
-    rows = found if isinstance(found, list) else []
-    return [one for one in rows if isinstance(one, dict) and isinstance(one.get("id"), int)]
 
 
 def save(places: StudioFolder, asked: Asked) -> dict[str, Any]:

@@ -25,6 +25,15 @@ NUMBERS = {  # least, most, default
 }
 
 
+def object_of(value: Any) -> dict[str, Any]:
+    """The value if it is an object, else an empty one: files may be of other hands."""
+    return value if isinstance(value, dict) else {}
+
+
+def objects_of(value: Any) -> list[dict[str, Any]]:
+    return [one for one in value if isinstance(one, dict)] if isinstance(value, list) else []
+
+
 class Asked(dict[str, Any]):
     """A request of the page. Raises `StudioError` for entries of other types, or out of range."""
 
