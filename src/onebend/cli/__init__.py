@@ -16,13 +16,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextvars import ContextVar
 from difflib import get_close_matches
 from functools import wraps
-from inspect import Parameter, Signature, signature
+from inspect import Parameter, Signature
 from pathlib import Path
-from typing import Annotated, Any, Literal, NoReturn, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, NoReturn, Union
 
 import typer
 from typer.core import TyperCommand, TyperGroup
-from typer.models import OptionInfo
 
 import onebend
 from onebend.crash import clean_errors, guarded
@@ -56,34 +55,11 @@ def all_commands() -> dict[str, Place]:
     return dict(sorted(items, key=lambda item: GROUPS.index(item[1].group)))
 
 
-# The options of a command as data: name, kind, default and help of each.
+# The options of a command from data: name, kind, default and help of each. `make docs` writes them.
 
 KINDS: dict[str, Any] = {"bool": bool, "int": int, "float": float, "str": str, "Path": Path, "None": None}
 MADE_OF: dict[str, Any] = {"tuple": tuple, "list": list, "one of": Literal, "either": Union}
 SAID = ("help", "metavar", "min", "max")
-
-
-def as_data(function: Callable[..., None]) -> list[dict[str, Any]]:
-    """One entry per parameter."""
-    return [_parameter_data(one) for one in signature(function).parameters.values()]
-
-
-def _parameter_data(one: Parameter) -> dict[str, Any]:
-    kind, info = get_args(one.annotation)
-    asked = isinstance(info, OptionInfo)
-    names = [name for name in (info.default, *(info.param_decls or ())) if isinstance(name, str)] if asked else None
-    said = {key: getattr(info, key) for key in SAID if getattr(info, key) is not None}
-    default = {} if one.default is Parameter.empty else {"default": one.default}
-    data = {"name": one.name, "kind": _kind_data(kind), "options": names, **said, **default}
-    return dict(json.loads(json.dumps(data, default=str)))
-
-
-def _kind_data(kind: Any) -> Any:
-    inside, origin = get_args(kind), get_origin(kind)
-    if not inside:
-        return kind if isinstance(kind, str) else "None" if kind is type(None) else kind.__name__
-    name = {tuple: "tuple", list: "list", Literal: "one of"}.get(origin, "either")
-    return [name, *(one if origin is Literal else _kind_data(one) for one in inside)]
 
 
 def function_of(data: Iterable[Mapping[str, Any]]) -> Callable[..., None]:

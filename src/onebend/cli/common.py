@@ -213,7 +213,6 @@ def put_results(
     *,
     figures: str | None = "",
     inputs: Sequence[InputFile] = (),
-    made_from: Mapping[str, Any] | None = None,
 ) -> None:
     """Publishes the files of `tables`, the pictures and `summary.json`.
 
@@ -227,7 +226,7 @@ def put_results(
             pictures.write(folder / figures)
         write_summary(folder, summary)
 
-    put_in_place(place, write, pictures.failed if pictures else {}, inputs=inputs, made_from=made_from)
+    put_in_place(place, write, pictures.failed if pictures else {}, inputs=inputs)
 
 
 def save_results(
