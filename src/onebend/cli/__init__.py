@@ -12,7 +12,7 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextvars import ContextVar
 from difflib import get_close_matches
 from functools import wraps
@@ -40,13 +40,12 @@ GIVEN: ContextVar[Mapping[str, Any]] = ContextVar("GIVEN")  # options of the run
 
 
 def remembered(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with its options in `GIVEN`; a user's mistake ends it in one message."""
+    """The command with its options in `GIVEN`."""
 
     @wraps(command)
     def inside(**options: Any) -> None:
         GIVEN.set(options)
-        with clean_errors():
-            command(**options)
+        command(**options)
 
     return inside
 
@@ -123,8 +122,15 @@ class Command(TyperCommand):
         self.place = place
 
     def loaded(self) -> Any:
-        """With one BLAS thread."""
-        return self._made(one_blas_thread(remembered(self.function())))
+        """With one BLAS thread; a user's mistake ends it in one message."""
+        return self._made(clean_errors()(one_blas_thread(remembered(self.function()))))
+
+    def given(self, words: Sequence[str]) -> dict[str, Any]:
+        """What the function is given for these words, which are then in `GIVEN`. Raises `UsageError`."""
+        found: dict[str, Any] = {}
+        keep = wraps(self.place.load())(lambda **given: found.update(given))
+        self._made(remembered(self.function(keep))).main([*words], standalone_mode=False)
+        return found
 
     def described(self) -> Any:
         """For `--help` only, from `options.json`; None if the command is not there."""
@@ -137,11 +143,11 @@ class Command(TyperCommand):
         single.command(self.name, help=self.place.help, epilog="\n\n".join(lines))(function)
         return typer.main.get_command(single)
 
-    def function(self) -> Callable[..., None]:
-        """With a parameter for each option."""
+    def function(self, function: Callable[..., None] | None = None) -> Callable[..., None]:
+        """With a parameter for each option; another `function` may take its place."""
         from onebend.options import expanded  # here: `--help` does without
 
-        return expanded(self.place.load(), str(self.name))
+        return expanded(function or self.place.load(), str(self.name))
 
     def make_context(self, info_name: str | None, args: list[str], *more: Any, **kwargs: Any) -> Any:
         if {*HELP} & {*args} and (described := self.described()) is not None:

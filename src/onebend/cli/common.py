@@ -11,7 +11,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import numpy as np
 import typer
@@ -55,6 +55,13 @@ Recording = Annotated[Path, typer.Argument(metavar="REC")]
 Model = Annotated[Path, typer.Argument(metavar="MODEL")]
 
 
+class Listener(Progress, Protocol):
+    """A program that has a command carried out, in the place of a person at a screen."""
+
+    def published(self) -> None:
+        """The answer is in its folder; pictures may come later."""
+
+
 @dataclass(frozen=True)
 class AnswerOptions:
     """Where the answer goes, and how."""
@@ -63,6 +70,7 @@ class AnswerOptions:
     overwrite: bool = option("--overwrite --force", False)
     as_json: bool = option("--json", False)
     quiet: bool = option("--quiet -q", False)
+    listener: Listener | None = None
 
 
 Saved = Annotated[AnswerOptions, Only(("output", "overwrite", "as_json"))]
@@ -263,10 +271,10 @@ def say_failed(failed: Mapping[str, str]) -> None:
 
 
 @contextmanager
-def progress_of(quiet: bool) -> Iterator[Progress]:
-    """Bars on standard error, or nothing."""
-    if quiet:
-        yield Silent()
+def progress_of(told: AnswerOptions) -> Iterator[Progress]:
+    """The listener's, bars on standard error, or nothing."""
+    if told.quiet or told.listener is not None:
+        yield told.listener or Silent()
         return
     with Bars(stderr_screen()) as bars:
         yield bars

@@ -54,7 +54,7 @@ def film(
     asked: FilmOptions,
     told: common.Told,
 ) -> None:
-    with common.progress_of(told.quiet) as progress:
+    with common.progress_of(told) as progress:
         filming, folder = _filming(design, request, asked.seed, output, asked.effects)
         check(filming, folder)
         if asked.markers:

@@ -105,7 +105,7 @@ def batch(
     asked: BatchOptions,
     told: common.Told,
 ) -> None:
-    with common.progress_of(told.quiet) as progress:
+    with common.progress_of(told) as progress:
         outcome = run_batch(source, output, **vars(asked), progress=progress)
     summary = batches.summary_of(outcome)
     batches.write_batch(outcome, summary)
@@ -125,7 +125,7 @@ def population(
 ) -> None:
     with (
         common.workplace(output, population_report.POPULATION_FORMAT, told.overwrite) as place,
-        common.progress_of(told.quiet) as progress,
+        common.progress_of(told) as progress,
     ):
         inputs = inputs_of([results / f"{name}.parquet" for name in TABLES])
         found = population_report.population(read_batch(results, setting.by, setting.same), setting)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import StudioError
 from onebend.files.publish import LARGEST, SUMMARY, read_object
 from onebend.results.model import StoredModel, read_model
+from onebend.studio.asked import asked_name
+from onebend.studio.places import StudioFolder
 
 REPORT = "report.html"
 _LARGEST_REPORT = 32 * 2**20  # bytes
@@ -21,8 +23,10 @@ _S = np.linspace(0.0, 1.0, 101)
 _LEVELS = (0.95, 0.8, 0.5)
 
 
-def result_data(name: str, folder: Path) -> dict[str, Any]:
+def result_data(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
     """Verdict, k(s) with bands, errors and remarks. Raises `ResultsError` for an unreadable model."""
+    name = asked_name(asked)
+    folder = places.result(name)
     stored = read_model(folder)
     summary = read_object(folder / SUMMARY, LARGEST) or {}
     fit, origin = _object(summary.get("fit")), _object(summary.get("provenance"))
@@ -61,9 +65,10 @@ def known_curve(known: UncertainStiffness) -> dict[str, Any]:
     return found
 
 
-def film_data(folder: Path) -> dict[str, Any] | None:
+def film_data(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any] | None:
     """The report's frames with the fitted beam in pixels; None without a film. Raises `StudioError` without a report of
     onebend."""
+    folder = places.result(asked_name(asked))
     path = folder / REPORT
     try:
         if path.is_symlink():  # which may lead anywhere

@@ -1,7 +1,6 @@
-"""Recordings: `recording.toml` checked while typed and saved whole, the first frame, and `check`.
+"""Recordings: `recording.toml` checked while typed and saved whole, the first frame, and a check's picture.
 
-Mistakes come from `recording.folder.check_text`, findings from `report.overview`. As a process
-(`python -m onebend.studio.recordings`) it does what `onebend check` does.
+Mistakes come from `recording.folder.check_text`.
 """
 
 from __future__ import annotations
@@ -9,7 +8,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import io
-import sys
 import threading
 from collections.abc import Mapping
 from functools import lru_cache
@@ -19,6 +17,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from onebend.cli.common import AnswerOptions
 from onebend.errors import RecordingError, ResultsError, StudioError
 from onebend.files.single_file import check_replaceable, write_file
 from onebend.recording.entries import FAMILIES, VideoEntry
@@ -27,8 +26,9 @@ from onebend.recording.tag_finder import Finder
 from onebend.recording.template import write_template
 from onebend.recording.video import pictures_at
 from onebend.report.overview import SOFTWARE, overview
-from onebend.studio.jobs import process, tell
-from onebend.studio.places import RECORDING, StudioFolder, check_line
+from onebend.studio.asked import asked_name, check_command
+from onebend.studio.places import RECORDING, StudioFolder
+from onebend.studio.worker import Studio, end
 from onebend.text_files import MOST_TOML
 
 PICTURE = "check.png"
@@ -39,9 +39,9 @@ MOST_SHOWN = 200  # mistakes
 _saving = threading.Lock()  # for tabs of this studio
 
 
-def answer(places: StudioFolder, what: str, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """Raises an `OnebendError`."""
-    name = str(asked.get("name", ""))
+def answer(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Does "what" is asked of a recording. Raises an `OnebendError`."""
+    what, name = str(asked.get("what")), asked_name(asked)
     try:
         if what == "read":
             return read(places, name)
@@ -74,7 +74,7 @@ def read(places: StudioFolder, name: str) -> dict[str, Any]:
         "name": name,
         "text": text,
         "version": version_of(data),
-        "command": check_line(name),
+        "command": check_command(name),
         **checked(folder, text),
     }
 
@@ -192,8 +192,9 @@ def jpeg_in(picture: Image.Image, widest: int, quality: int) -> str:
     return base64.b64encode(memory.getvalue()).decode("ascii")
 
 
-def check_picture_of(places: StudioFolder, name: str) -> bytes:
+def check_picture_of(places: StudioFolder, asked: Mapping[str, Any]) -> bytes:
     """Raises `StudioError` if there is none."""
+    name = asked_name(asked)
     places.recording(name)
     path = places.path(f"{name}/{PICTURE}")
     try:
@@ -207,32 +208,21 @@ def check_picture_of(places: StudioFolder, name: str) -> bytes:
     return data
 
 
-def wanted_work(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """Raises `StudioError` for an unknown recording."""
-    name = str(asked.get("name", ""))
-    places.recording(name)
-    return {"folder": str(places.root), "name": name, "command": check_line(name)}
-
-
-def work(wanted: Mapping[str, Any]) -> None:
-    """Checks a recording and draws `check.png`."""
-    folder = Path(wanted["name"])
-    tell({"stage": "reading the files, looking for tags", "done": 0, "total": None})
-    found = overview(folder)
-    said = {"name": wanted["name"], **found.as_dict(), "faults": list(found.faults), "picture": False, "unwritten": ""}
-    tell({"stage": "drawing the picture", "done": 0, "total": None})
+def work(studio: Studio, *, recording: Path, output: Path, told: AnswerOptions) -> None:
+    """As `onebend check`, and tells where the picture could not be kept."""
+    studio.obeyed(end)
+    studio.start("reading the files, looking for tags")
+    found = overview(recording)
+    said = {"name": recording.as_posix(), **found.as_dict(), "faults": found.faults, "picture": False, "unwritten": ""}
+    studio.start("drawing the picture")
     from onebend.report.figures import check_png  # here: loads Matplotlib
 
     drawn = check_png(found)
     try:
         if drawn is not None:
-            check_replaceable(folder / PICTURE, SOFTWARE, overwrite=False)
-            write_file(folder / PICTURE, drawn, overwrite=True)
+            check_replaceable(output, SOFTWARE, overwrite=told.overwrite)
+            write_file(output, drawn, overwrite=True)
             said["picture"] = True
     except ResultsError as error:
         said["unwritten"] = str(error)
-    tell({"found": said})
-
-
-if __name__ == "__main__":
-    sys.exit(process(work, alone=False))
+    studio.found(said)
