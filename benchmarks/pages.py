@@ -13,13 +13,16 @@ import math
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
+from inspect import Parameter, signature
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+from typer.models import OptionInfo
+
 from benchmarks.shown import ROOT, put_block
-from onebend.cli import OPTIONS, Command, all_commands, as_data
+from onebend.cli import OPTIONS, SAID, Command, all_commands
 from onebend.recording.entries import CameraInfoEntry, MassEntry, TagEntry
 from onebend.recording.folder import RECORDS
 from onebend.recording.schema import Key, keys_of
@@ -164,9 +167,32 @@ def as_toml(value: Any, scale: float = 1.0) -> str:
     return f"{value / scale:.3g}" if isinstance(value, int | float) else f'"{value}"'
 
 
+def options_of(function: Callable[..., None]) -> list[dict[str, Any]]:
+    """One entry per parameter of a command: name, kind, default and help."""
+    return [_parameter_data(one) for one in signature(function).parameters.values()]
+
+
+def _parameter_data(one: Parameter) -> dict[str, Any]:
+    kind, info = get_args(one.annotation)
+    asked = isinstance(info, OptionInfo)
+    names = [name for name in (info.default, *(info.param_decls or ())) if isinstance(name, str)] if asked else None
+    said = {key: getattr(info, key) for key in SAID if getattr(info, key) is not None}
+    default = {} if one.default is Parameter.empty else {"default": one.default}
+    data = {"name": one.name, "kind": _kind_data(kind), "options": names, **said, **default}
+    return dict(json.loads(json.dumps(data, default=str)))
+
+
+def _kind_data(kind: Any) -> Any:
+    inside, origin = get_args(kind), get_origin(kind)
+    if not inside:
+        return kind if isinstance(kind, str) else "None" if kind is type(None) else kind.__name__
+    name = {tuple: "tuple", list: "list", Literal: "one of"}.get(origin, "either")
+    return [name, *(one if origin is Literal else _kind_data(one) for one in inside)]
+
+
 def options() -> str:
     """The text of `options.json` for `--help`, one row per parameter."""
-    found = {name: as_data(Command(name, place).function()) for name, place in all_commands().items()}
+    found = {name: options_of(Command(name, place).function()) for name, place in all_commands().items()}
     rows = {name: ",\n".join(f"  {json.dumps(one)}" for one in parameters) for name, parameters in found.items()}
     return "{\n" + ",\n".join(f"{json.dumps(name)}: [\n{own}\n]" for name, own in rows.items()) + "\n}\n"
 

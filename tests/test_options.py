@@ -14,7 +14,8 @@ import typer
 from typer.testing import CliRunner
 
 import onebend
-from onebend.cli import Command, all_commands, as_data
+from benchmarks.pages import options_of
+from onebend.cli import Command, all_commands
 from onebend.options import POSITIVE, Only, expanded, helps, option
 from onebend.wings import WINGS
 
@@ -93,7 +94,7 @@ def test_a_command_without_settings_keeps_its_parameters() -> None:
 
 def test_every_option_has_its_help_and_every_help_its_option() -> None:
     commands = {name: Command(name, place) for name, place in all_commands().items()}
-    parameters = {name: as_data(one.function()) for name, one in commands.items()}
+    parameters = {name: options_of(one.function()) for name, one in commands.items()}
     assert [(name, one["name"]) for name, own in parameters.items() for one in own if not one.get("help")] == []
     folder = Path(onebend.__file__).parent
     source = "".join(path.read_text(encoding="utf-8") for path in folder.rglob("*.py"))

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from onebend.cli import OPTIONS, Command, all_commands, app, as_data, function_of
+from benchmarks.pages import options_of
+from onebend.cli import OPTIONS, Command, all_commands, app, function_of
 from onebend.results.model import save_model
 from tests import made_up
 
@@ -65,8 +66,8 @@ def test_version_and_help_load_no_command(asked: str) -> None:
 def test_help_is_of_the_options_as_they_are(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """`options.json` has them as the command has; `make docs` writes it anew."""
     stored, command = json.loads(OPTIONS.read_text(encoding="utf-8")), Command(name, COMMANDS[name])
-    assert stored[name] == as_data(command.function())
-    assert as_data(function_of(stored[name])) == stored[name]
+    assert stored[name] == options_of(command.function())
+    assert options_of(function_of(stored[name])) == stored[name]
     with_options = CliRunner().invoke(app, [name, "--help"])
     monkeypatch.setattr(Command, "described", lambda _: None)
     assert with_options.exit_code == 0

@@ -50,7 +50,7 @@ def reproduce(
     told: common.Told,
 ) -> None:
     """Repeat the paper's experiments: films of three beams, tables, figures and tasks in one report."""
-    with clean_errors(), common.progress_of(told.quiet) as progress:
+    with clean_errors(), common.progress_of(told) as progress:
         found = study.reproduce(output, setting, written_by=this_onebend(), processes=processes or 0, progress=progress)
         pictures = report.draw_figures(found, progress=progress)
         common.say_failed(pictures.failed)

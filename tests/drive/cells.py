@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from onebend.drive.robots import ArmState, Robot, Skill, ToolForce, ToolPose
 from onebend.drive.run import DriveOutcome, drive
 from onebend.drive.virtual import VirtualCell, VirtualSetup
 from onebend.lab.bench import PushProfile
+from onebend.lab.bench_camera import BenchCamera
 from onebend.lab.designs import find_design
 from onebend.lab.filming import between_places, shapes_at
 from onebend.lab.random_bench import FilmRequest, filming_of
@@ -26,6 +29,7 @@ from onebend.live.session import record
 from onebend.live.sources import CameraSource, Clock, End, Frame, PlayedClock, Samples, StampTiming
 from onebend.recording.entries import Recording
 from onebend.recording.folder import read_recording
+from onebend.recording.video import Picture
 from onebend.records import Array
 from onebend.results.model import StoredModel
 
@@ -97,6 +101,77 @@ class CellCamera:
         due, exposed, draw = self._cell.frames.popleft()
         self._count += 1
         return Frame(draw(), exposed, max(due, self._clock.now()), self._count)
+
+
+class FaultyEye(BenchCamera):
+    """It shows what happened to tags: "swapped", the last two; "hidden", the number of one that is covered."""
+
+    faults: Mapping[str, Any] = MappingProxyType({})
+
+    def faces(self, poses: Array) -> Array:
+        tags = super().faces(poses)
+        if "swapped" in self.faults:
+            tags[[-1, -2]] = tags[[-2, -1]]
+        return tags
+
+    def picture(self, poses: Array, force: Array, time: float) -> Picture:
+        y = super().picture(poses, force, time)
+        if "hidden" in self.faults:
+            self._cover(y, self.faces(poses)[1 + int(self.faults["hidden"])])
+        return y
+
+    def _cover(self, y: Picture, tag: Array) -> None:
+        """Something dull lies on a tag."""
+        view = self._staged.view
+        inside = view.rotation @ np.array([tag[0], tag[1], 0.0]) + view.translation
+        px = view.matrix[:2, :2] @ (inside[:2] / inside[2]) + view.matrix[:2, 2]
+        half = 0.9 * view.matrix[0, 0] * self._filming.tag_size / inside[2]
+        left, top, right, bottom = (max(int(v), 0) for v in (*(px - half), *(px + half)))
+        y[top:bottom, left:right] = 100
+
+
+class FaultyCell(VirtualCell):
+    """A cell to which things happen: those of its eye; "camera", no pictures; "late", so many s; "stuck" and "flipped",
+    the force; "softer", the beam by this factor."""
+
+    eye = FaultyEye
+
+    def __init__(self, setup: VirtualSetup) -> None:
+        self.faults: dict[str, Any] = {}
+        self._said = ArmState(math.nan, ToolPose(np.zeros(3), np.eye(3)), np.zeros(6))
+        super().__init__(setup)
+
+    def state(self) -> ArmState:
+        if "stuck" in self.faults:
+            return replace(self._said, stamp=self.time, pose=self._tool())
+        self._said = super().state()
+        return self._said
+
+    def sensed(self) -> Array:
+        if "stuck" in self.faults:
+            return np.asarray(self.faults["stuck"])
+        return -self.wrench[:2] if "flipped" in self.faults else self.wrench[:2]
+
+    def _bent(self, wrench: Array, angle: Array) -> tuple[Array, Array]:
+        whole = self._cells
+        self._cells = replace(whole, joint=self.faults.get("softer", 1.0) * whole.joint)
+        try:
+            return super()._bent(wrench, angle)
+        finally:
+            self._cells = whole
+
+    def _expose(self) -> None:
+        super()._expose()
+        due, exposed, draw = self.frames.pop()
+        eye, faults = self._camera, dict(self.faults)
+        assert isinstance(eye, FaultyEye)
+
+        def drawn() -> Picture:
+            eye.faults = faults
+            return draw()
+
+        if "camera" not in faults:
+            self.frames.append((due + faults.get("late", 0.0), exposed, drawn))
 
 
 LENGTH, SIZE = 0.15, 0.012

@@ -12,11 +12,20 @@ import numpy as np
 from onebend.drive.plan import Hand
 from onebend.drive.robots import ArmState, Skill, ToolForce, ToolPose
 from onebend.drive.run import DriveOutcome
-from onebend.drive.virtual import VirtualCell
 from onebend.live.sources import Clock, End, Frame, PlayedClock
 from onebend.recording.folder import read_recording
 from onebend.recording.video import Picture
-from tests.drive.cells import QUICK, CellCamera, CellRobot, described, drive_cell, model_of, planned, setup_for
+from tests.drive.cells import (
+    QUICK,
+    CellCamera,
+    CellRobot,
+    FaultyCell,
+    described,
+    drive_cell,
+    model_of,
+    planned,
+    setup_for,
+)
 
 OFF = (0.002, -0.001, 0.001)  # rad, of the robot's axes
 LIMIT_OVER_PLAN = 2.0  # the force that is allowed, over the planned one
@@ -69,7 +78,9 @@ class FaultyClock(PlayedClock):
 class FaultyRobot(CellRobot):
     """A robot that fails at a moment."""
 
-    def __init__(self, cell: VirtualCell, fault: Injected) -> None:
+    cell: FaultyCell
+
+    def __init__(self, cell: FaultyCell, fault: Injected) -> None:
         super().__init__(cell)
         self.fault, self.begun, self.fails_at = fault, math.nan, math.inf
         self.told_to_hold = math.nan
@@ -133,7 +144,7 @@ class FaultyRobot(CellRobot):
 class FaultyCamera(CellCamera):
     """A camera that fails when the robot says so."""
 
-    def __init__(self, cell: VirtualCell, robot: FaultyRobot) -> None:
+    def __init__(self, cell: FaultyCell, robot: FaultyRobot) -> None:
         super().__init__(cell)
         self.robot, self.exposed_after = robot, math.inf
         self.last: Picture | None = None
@@ -161,7 +172,7 @@ class Suffered:
 
     fault: Injected
     outcome: DriveOutcome
-    cell: VirtualCell
+    cell: FaultyCell
     limit: float  # N
     hold_after: float  # s, from when it could be known to the order to hold
     folder: Path
@@ -195,7 +206,7 @@ def suffer(folder: Path, fault: Injected) -> Suffered:
     )  # fmt: skip
     plan = planned(rec, [(float(goal[0]), float(goal[1]))], settings=settings, at_s=at_s, point_s=at_s)
     setup = setup_for(rec, holds=fault.hand == "hold", at_s=at_s, seed=fault.seed, sees=math.radians(60.0), off=OFF)
-    cell = VirtualCell(setup)
+    cell = FaultyCell(setup)
     robot = FaultyRobot(cell, fault)
     camera, clock = FaultyCamera(cell, robot), FaultyClock()
     more: dict[str, Any] = {"robot": robot, "camera": camera, "clock": clock}

@@ -31,6 +31,7 @@ from tests.drive.cells import (
     QUICK,
     CellCamera,
     CellRobot,
+    FaultyCell,
     described,
     drive_cell,
     driven,
@@ -219,7 +220,7 @@ def test_a_second_stop_lets_go_at_once(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_what_was_only_late_pauses_and_goes_on(tmp_path: Path) -> None:
     rec = read_recording(described(tmp_path, width=640), filmed=False)
-    cell = VirtualCell(setup_for(rec, holds=False, sees=math.radians(60.0)))
+    cell = FaultyCell(setup_for(rec, holds=False, sees=math.radians(60.0)))
     plan, robot = planned(rec, [goal_of()]), Noting(cell)
     moved: list[float] = []
 
@@ -279,7 +280,7 @@ def test_nothing_moves_before_the_rest_was_seen(tmp_path: Path) -> None:
 
 def test_a_rest_without_tags_moves_nothing(tmp_path: Path) -> None:
     rec = read_recording(described(tmp_path, width=640), filmed=False)
-    cell = VirtualCell(setup_for(rec, holds=False, sees=math.radians(60.0)))
+    cell = FaultyCell(setup_for(rec, holds=False, sees=math.radians(60.0)))
     cell.faults["hidden"] = 2
     robot = Noting(cell)
     with pytest.raises(RecordingError, match="nothing moved"):

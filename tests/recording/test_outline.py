@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -45,6 +46,7 @@ def half_width(s: Array) -> Array:
     return np.asarray(0.007 - 0.0015 * s)
 
 
+@cache
 def painted(
     bend: float, *, wall: float = 0.0, ends: float = 1.0, rim: float = 0.0, noise: float = 1.5, seed: int = 0
 ) -> Planes:

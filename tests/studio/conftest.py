@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import io
+import json
+import shlex
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from threading import Event
+from types import SimpleNamespace
+from typing import Any, BinaryIO, cast
 
 import pytest
 from starlette.testclient import TestClient
 
+from onebend.cli import Command, all_commands
 from onebend.results.model import save_model
 from onebend.studio.places import StudioFolder
 from onebend.studio.server import application
+from onebend.studio.worker import Studio
 from tests import made_up
 
 ROOT = Path(__file__).parents[2]
@@ -52,6 +59,28 @@ def working(folder: Path) -> Iterator[TestClient]:
     with TestClient(application(StudioFolder.of(folder), TOKEN, PORT), base_url=HOME, follow_redirects=False) as found:
         found.get("/", params={"token": TOKEN})
         yield found
+
+
+def done_here(
+    work: Callable[..., None], wanted: dict[str, Any], *said: bytes, stays: bool = True, told: list[Any] | None = None
+) -> list[dict[str, Any]]:
+    """What a job tells (and `told`, also of one that fails) whose process is this one, in this folder. A person says
+    some lines meanwhile, and `stays`."""
+    out, lines, words = io.StringIO(), iter(said), shlex.split(wanted["command"])[1:]
+
+    def readline() -> bytes:
+        line = next(lines, b"")
+        if not line and stays:
+            Event().wait()
+        return line
+
+    found = [] if told is None else told
+    try:
+        given = Command(words[0], all_commands()[words[0]]).given(words[1:])
+        work(Studio(out, cast(BinaryIO, SimpleNamespace(readline=readline))), **given)
+    finally:
+        found += [json.loads(line) for line in out.getvalue().splitlines()]
+    return found
 
 
 def own(**more: str) -> dict[str, Any]:

@@ -21,9 +21,10 @@ from onebend.control.reach_set import Edge, ReachMap
 from onebend.errors import StudioError
 from onebend.records import Array
 from onebend.results.model import read_model, save_model
-from onebend.studio.bending import Bending, edge_lines
+from onebend.studio.bending import Bending, bending_of, edge_lines
 from onebend.studio.desk import Desk
 from onebend.studio.places import StudioFolder
+from onebend.studio.words import Asked
 from tests import made_up
 from tests.studio.conftest import PORT, own
 
@@ -100,7 +101,7 @@ def test_a_drag_is_answered_with_the_force_that_reach_gives(working: TestClient,
 
 
 def test_the_command_beside_it_gives_the_same_force(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    bending = Bending.of("beam", folder / "beam")
+    bending = bending_of("beam", folder / "beam")
     answer = bending.drag([0.1338, 0.0638])
     monkeypatch.chdir(folder)
     done = CliRunner().invoke(app, [*shlex.split(answer["command"])[1:], "--json"])
@@ -112,7 +113,7 @@ def test_the_command_beside_it_gives_the_same_force(folder: Path, monkeypatch: p
 def test_the_command_is_exact_where_a_micrometre_takes_much_force(
     folder: Path, monkeypatch: pytest.MonkeyPatch, force: tuple[float, float]
 ) -> None:
-    bending = Bending.of("beam", folder / "beam")
+    bending = bending_of("beam", folder / "beam")
     bending.point.under(force)
     command = bending.still()["command"]
     assert len(command.split("--goal ")[1].split()[0]) > len("0.150000")
@@ -129,21 +130,21 @@ def test_a_beam_is_bent_in_the_set_up_that_it_was_learned_in(tmp_path: Path) -> 
     sizes, slope = {"length": 1, "direction": 1}, np.zeros((2, count))
     setup = SetUp(1.0, (0.05, 0.2), (0.5, 1.0), 0.01, sizes, mean, slope, 1e-6 * np.eye(2), np.full(2, 0.01))
     save_model(tmp_path / "model.json", fit.beam, written_by="a test", uncertain=fit.stiffness, setup=setup)
-    bending, force = Bending.of("beam", tmp_path), np.array([[0.02, 0.18], [0.1, 0.4]])
+    bending, force = bending_of("beam", tmp_path), np.array([[0.02, 0.18], [0.1, 0.4]])
     goals = setup.bent(fit.beam, fit.stiffness, force).xy(np.ones(1))[:, 0]
     there = bending.drag(goals[0].tolist())
     assert np.linalg.norm(np.subtract(there["force_N"], force[0])) < 0.02 * np.linalg.norm(force[0])
     assert there["beyond_learned"] == 0.0
     far = bending.drag(goals[1].tolist())
     assert far["beyond_learned"] == pytest.approx(2.0, rel=0.05)
-    bending.change({"mode": "hand"})
+    bending.change(Asked({"mode": "hand"}))
     assert bending.stored.beam == bending.learned.beam
 
 
 def test_at_rest_no_command_is_shown(folder: Path) -> None:
-    bending = Bending.of("beam", folder / "beam")
+    bending = bending_of("beam", folder / "beam")
     assert bending.still()["command"]
-    bending.change({"rest": True})
+    bending.change(Asked({"rest": True}))
     assert bending.still()["command"] == ""
 
 
@@ -198,13 +199,13 @@ def test_a_hand_holds_the_end_and_says_how_far_it_gets(working: TestClient) -> N
 
 @pytest.mark.parametrize("mode", ["hand", "point"])
 def test_no_edge_is_told_of_a_hand_that_has_let_go(folder: Path, monkeypatch: pytest.MonkeyPatch, mode: str) -> None:
-    bending = Bending.of("beam", folder / "beam")
-    bending.change({"mode": "hand"})
+    bending = bending_of("beam", folder / "beam")
+    bending.change(Asked({"mode": "hand"}))
     told: list[dict[str, Any]] = []
 
     async def late(*_: Any) -> list[Any]:
         if mode == "point":
-            bending.change({"mode": mode})
+            bending.change(Asked({"mode": mode}))
         return []
 
     async def edge() -> None:
@@ -292,9 +293,9 @@ def test_a_tab_that_goes_is_forgotten_without_a_word(
     ],
 )  # fmt: skip
 def test_settings_without_meaning_are_refused(folder: Path, settings: dict[str, Any]) -> None:
-    bending = Bending.of("beam", folder / "beam")
+    bending = bending_of("beam", folder / "beam")
     with pytest.raises(StudioError):
-        bending.change(settings)
+        bending.change(Asked(settings))
     assert bending.version == 0
 
 
@@ -316,7 +317,7 @@ def test_a_fault_in_one_drag_is_said_and_the_next_is_answered(
 
 
 def test_a_goal_without_meaning_is_refused(folder: Path) -> None:
-    bending = Bending.of("beam", folder / "beam")
+    bending = bending_of("beam", folder / "beam")
     for goal in ([0.1], [float("nan"), 0.0], [0.0] * 4):
         with pytest.raises(StudioError):
             bending.drag(goal)

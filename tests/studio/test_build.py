@@ -38,7 +38,7 @@ def test_the_server_is_there_before_what_a_room_needs_is_loaded() -> None:
     loaded = set(
         subprocess.run([sys.executable, "-c", call], capture_output=True, text=True, check=True).stdout.split()
     )
-    rooms = {"bending", "learned", "learner", "mapping", "recordings", "looping"}
+    rooms = {"bending", "driving", "learned", "learner", "looping", "recorder", "recordings", "requests", "worker"}
     assert not loaded & {f"onebend.studio.{name}" for name in rooms}
     assert not loaded & {"scipy", "av", "PIL", "matplotlib", "pyapriltags", "onebend.recording", "onebend.control"}
     assert imported("main") == {"bend", "dom", "net", "place"}

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,19 +18,21 @@ from onebend.learning.instruments import instruments_of
 from onebend.live.sources import PlayedClock
 from onebend.recording.folder import read_recording
 from onebend.results.model import StoredModel, model_text
-from onebend.studio import jobs, recorder
-from onebend.studio.driving import wanted_work, work
+from onebend.studio import requests
+from onebend.studio.driving import work
 from onebend.studio.jobs import Job
 from onebend.studio.places import StudioFolder
+from onebend.studio.words import Asked
 from tests import made_up
 from tests.drive.cells import CellCamera, CellRobot, described, model_of, setup_for
+from tests.studio.conftest import done_here
 
-Told = list[dict[str, Any]]
 
-
-def asked_for(**more: Any) -> dict[str, Any]:
+def asked_for(**more: Any) -> Asked:
     x, y = np.asarray(model_of("linear").beam.equilibrium((0.0, 0.1)).xy(1.0)).reshape(2).tolist()
-    return {"model": "beam", "like": "like", "robot": "virtual:linear", "out": "driven", "goal_m": [x, y], **more}
+    return Asked(
+        {"model": "beam", "like": "like", "robot": "virtual:linear", "out": "driven", "goal_m": [x, y], **more}
+    )
 
 
 @pytest.fixture
@@ -47,40 +47,25 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.fixture
-def told(monkeypatch: pytest.MonkeyPatch) -> Told:
-    """What the process tells, by either way."""
-    found: Told = []
-    monkeypatch.setattr(jobs, "tell", found.append)
-    monkeypatch.setattr("onebend.studio.recorder.tell", lambda data, _: found.append(dict(data)))
-    monkeypatch.setattr("onebend.studio.recorder.OFTEN", 0.0)
-    return found
-
-
-def test_nothing_moves_before_go(bench: Path, told: Told, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_moves_before_go(bench: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(commands, "run", lambda *_a, **_k: pytest.fail("it moved"))
-    monkeypatch.setattr(recorder, "lines_in", lambda _: iter(("stop\n",)))  # and the studio is gone
-    with pytest.raises(KeyboardInterrupt):
-        work(wanted_work(StudioFolder.of(bench), asked_for()))
+    told: list[dict[str, Any]] = []
+    with pytest.raises(KeyboardInterrupt):  # the studio is gone
+        done_here(work, requests.drive(StudioFolder.of(bench), asked_for()), b"stop\n", stays=False, told=told)
     (plan,) = [one["found"] for one in told if "found" in one]
     assert "0.1 N at 90 deg" in dict(plan["plan"])["force"]
     assert not (bench / "driven").exists()
 
 
-def test_a_drive_is_planned_shown_and_recorded(bench: Path, told: Told, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_drive_is_planned_shown_and_recorded(bench: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rec = read_recording(bench / "like", filmed=False)
     cell = VirtualCell(setup_for(rec, holds=False, sees=math.radians(60.0)))
+    monkeypatch.setattr("onebend.studio.worker.OFTEN", 0.0)
     monkeypatch.setattr(specs, "robot_of", lambda _spec: lambda _rec, _settings: CellRobot(cell))
     monkeypatch.setattr(specs, "camera_of", lambda _spec: CellCamera(cell))
     monkeypatch.setattr(commands, "run", partial(drive, clock=PlayedClock(), beside=False, setup=0.15))
-
-    def lines(_handle: int) -> Iterator[str]:
-        yield "go\n"
-        threading.Event().wait()  # it is there, and says nothing
-
-    monkeypatch.setattr(recorder, "lines_in", lines)
-    wanted = wanted_work(StudioFolder.of(bench), asked_for(camera="/dev/video0"))
-    work(wanted)
+    wanted = requests.drive(StudioFolder.of(bench), asked_for(camera="/dev/video0"))
+    told = done_here(work, wanted, b"go\n")
     job = Job(wanted)
     for one in told:
         job.hear(one)
@@ -93,17 +78,18 @@ def test_a_drive_is_planned_shown_and_recorded(bench: Path, told: Told, monkeypa
     assert now[-1]["stage"] == "done"
     assert job.shown()["now"] == now[-1]
     led = [one for one in now if one["stage"] == "staying"]
-    assert np.linalg.norm(led[-1]["axis_m"][-1] - wanted["goal_m"]) < 2e-3
-    assert np.linalg.norm(led[-1]["point_m"] - wanted["goal_m"]) < 1e-3
-    assert np.isnan(now[-1]["distance_m"])
+    assert np.linalg.norm(np.subtract(led[-1]["axis_m"][-1], wanted["goal_m"])) < 2e-3
+    assert np.linalg.norm(np.subtract(led[-1]["point_m"], wanted["goal_m"])) < 1e-3
+    assert now[-1]["distance_m"] is None
     assert (bench / "driven" / "drive.json").is_file()
     with pytest.raises(StudioError, match="holds a recording already"):
-        wanted_work(StudioFolder.of(bench), asked_for())
+        requests.drive(StudioFolder.of(bench), asked_for())
 
 
-def test_a_goal_out_of_reach_is_said(bench: Path, told: Told) -> None:
+def test_a_goal_out_of_reach_is_said(bench: Path) -> None:
+    told: list[dict[str, Any]] = []
     with pytest.raises(ControlError, match="nearest reachable"):
-        work(wanted_work(StudioFolder.of(bench), asked_for(goal_m=[0.2, 0.1])))
+        done_here(work, requests.drive(StudioFolder.of(bench), asked_for(goal_m=[0.2, 0.1])), told=told)
     assert told == [{"stage": "planning", "done": 0, "total": None}]
 
 
@@ -117,12 +103,12 @@ def test_a_goal_out_of_reach_is_said(bench: Path, told: Told) -> None:
 )  # fmt: skip
 def test_what_has_no_meaning_is_refused(bench: Path, more: dict[str, Any]) -> None:
     with pytest.raises(StudioError):
-        wanted_work(StudioFolder.of(bench), asked_for(**more))
+        requests.drive(StudioFolder.of(bench), asked_for(**more))
 
 
 def test_what_is_asked_is_in_the_command(bench: Path) -> None:
     more = {"push_s": 0.8, "point_s": 0.9, "robot": "ur:10.0.0.7", "camera": "/dev/video0", "goal_m": [0.1, 0.05]}
-    command = wanted_work(StudioFolder.of(bench), asked_for(**more))["command"]
+    command = requests.drive(StudioFolder.of(bench), asked_for(**more))["command"]
     assert command == (
         "onebend drive beam driven --goal 0.1 0.05 --push-at 0.8 --point 0.9 --like like --robot ur:10.0.0.7 "
         "--camera /dev/video0 --go"

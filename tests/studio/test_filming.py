@@ -24,13 +24,17 @@ from onebend.live.commands import record
 from onebend.live.guidance import CaptureState
 from onebend.live.recording_folder import FilmWriter
 from onebend.options import expanded
-from onebend.studio.filming import MadeRecording, RecorderProcess, check_source, sources_data, wanted_recording
+from onebend.studio import requests
+from onebend.studio.filming import MadeRecording, RecordingJobs
 from onebend.studio.places import StudioFolder
-from onebend.studio.recorder import QUALITY, WIDEST, Talk, capture_line, check_data, settings_of, state_data, work
+from onebend.studio.recorder import QUALITY, WIDEST, capture_line, check_data, state_data, work
 from onebend.studio.recordings import jpeg_in
+from onebend.studio.requests import check_source, sources_data
+from onebend.studio.words import Asked
+from onebend.studio.worker import Studio
 from tests.live.streamed import frames, log, toml
 from tests.recording.filmed import HEIGHT, WIDTH
-from tests.studio.conftest import own
+from tests.studio.conftest import done_here, own
 
 
 @pytest.fixture(scope="module")
@@ -51,18 +55,18 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> StudioFolder:
     return StudioFolder.of(root / "studio")
 
 
-def asked(**more: Any) -> dict[str, Any]:
+def asked(**more: Any) -> Asked:
     """What the page sends."""
-    return {"out": "new", "like": "played", "camera": "film:played", "force": "log:played", **more}
+    return Asked({"out": "new", "like": "played", "camera": "film:played", "force": "log:played", **more})
 
 
 @pytest.mark.parametrize("name", ["..", "../secret", "/tmp/x", "link", "link/inner", "a/../../b", "", ".", "x\\y", 3])
 def test_nothing_is_recorded_out_of_the_folder(places: StudioFolder, name: Any) -> None:
     with pytest.raises(StudioError):
-        wanted_recording(places, asked(out=name))
+        requests.record(places, asked(out=name))
     if name not in ("", "."):
         with pytest.raises(StudioError):
-            wanted_recording(places, asked(like=name))
+            requests.record(places, asked(like=name))
 
 
 @pytest.mark.parametrize(
@@ -77,7 +81,7 @@ def test_nothing_is_recorded_out_of_the_folder(places: StudioFolder, name: Any) 
 def test_no_source_is_a_file_out_of_the_folder(places: StudioFolder, spec: str) -> None:
     for key in ("camera", "force"):
         with pytest.raises(StudioError):
-            wanted_recording(places, asked(**{key: spec}))
+            requests.record(places, asked(**{key: spec}))
 
 
 @pytest.mark.parametrize("way", ["by its own words", "by a link", "by a link in a bag"])
@@ -99,8 +103,8 @@ def test_no_recording_leads_a_source_out_of_the_folder(places: StudioFolder, key
         (evil / file / "part.mcap").symlink_to(secret)
     for name in ("evil", "evil/recording.toml"):
         with pytest.raises(StudioError, match=rf"leads out of {places.root}"):
-            wanted_recording(places, asked(**{key: f"{kind}:{name}"}))
-    found = sources_data(places)
+            requests.record(places, asked(**{key: f"{kind}:{name}"}))
+    found = sources_data(places, Asked())
     assert "evil" not in found["films" if key == "camera" else "logs"]
     assert "played" in found["films"]
     shutil.rmtree(evil)
@@ -114,7 +118,7 @@ def test_no_table_of_the_beam_is_copied_from_outside(places: StudioFolder) -> No
     (places.root.parent / "secret" / "mass.csv").write_text("s,mass_kg_m\n0,0.1\n1,0.1\n")
     (evil / "mass.csv").symlink_to(places.root.parent / "secret" / "mass.csv")
     with pytest.raises(StudioError, match=r"mass\.csv' leads out of"):
-        wanted_recording(places, asked(like="evil"))
+        requests.record(places, asked(like="evil"))
     shutil.rmtree(evil)
 
 
@@ -137,14 +141,14 @@ def test_what_is_missing_or_no_number_is_said(places: StudioFolder) -> None:
         ({"longest_s": 0.5}, "longest_s"), ({"longest_s": True}, "longest_s"), ({"camera": "x" * 2000}, "as text"),
     ):  # fmt: skip
         with pytest.raises(StudioError, match=says):
-            wanted_recording(places, asked(**more))
+            requests.record(places, asked(**more))
 
 
 @pytest.mark.parametrize("name", ["a" * 300, "a/" + "\u00e9" * 128 + "/b"])
 def test_a_name_that_no_folder_can_have_is_refused_in_words(places: StudioFolder, name: str) -> None:
     with pytest.raises(StudioError, match="too long a name: a folder's has at most 255 bytes"):
-        wanted_recording(places, asked(out=name))
-    assert wanted_recording(places, asked(out="a" * 255))["out"] == "a" * 255
+        requests.record(places, asked(out=name))
+    assert requests.record(places, asked(out="a" * 255))["out"] == "a" * 255
 
 
 def test_the_command_beside_is_one_of_the_commands(places: StudioFolder) -> None:
@@ -157,45 +161,34 @@ def test_the_command_beside_is_one_of_the_commands(places: StudioFolder) -> None
         "fast": True,
         "overwrite": True,
     }
-    words = shlex.split(wanted_recording(places, asked(out="my push", **every))["command"])
+    words = shlex.split(requests.record(places, asked(out="my push", **every))["command"])
     assert words[:3] == ["onebend", "record", "my push"]
     alone = typer.Typer()
     alone.command()(expanded(record))
     known = {name for one in typer.main.get_command(alone).params for name in one.opts}
     assert {word for word in words if word.startswith("--")} <= known
     assert words[words.index("--until") + 1] == "5%"
-    plain = wanted_recording(places, asked(like="", force=""))
+    plain = requests.record(places, asked(like="", force=""))
     assert plain["command"] == "onebend record new --camera film:played"
-    dashed = wanted_recording(places, asked(out="-x"))
+    dashed = requests.record(places, asked(out="-x"))
     assert (dashed["out"], dashed["command"].split()[2]) == ("./-x", "./-x")
-    assert settings_of(wanted_recording(places, asked(**every))).until == pytest.approx(0.05)
-    assert np.isnan(settings_of(plain).until)
 
 
 def test_the_sources_are_the_recorders(places: StudioFolder) -> None:
-    found = sources_data(places)
+    found = sources_data(places, Asked())
     assert (found["films"], found["logs"], found["begun"]) == (["played"], ["played"], ["begun"])
     assert {"example", "says", "keys"} == set(found["cameras"][0])
     assert "log:REC" in [one["example"] for one in found["forces"]]
-
-
-def lines_of(memory: io.StringIO) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in memory.getvalue().splitlines()]
 
 
 def test_what_is_recorded_is_told_with_pictures_tags_and_advice(
     places: StudioFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(places.root)
-    monkeypatch.setattr("onebend.studio.recorder.OFTEN", 0.0)
-    memory = io.StringIO()
-    wanted = wanted_recording(places, asked(fast=True, no_learning=True, out="told"))
-    outcome = work(wanted, Talk(memory, capture_line), threading.Event(), threading.Event())
-    assert outcome.film is not None
-    said = lines_of(memory)
+    monkeypatch.setattr("onebend.studio.worker.OFTEN", 0.0)
+    said = done_here(work, requests.record(places, asked(fast=True, no_learning=True, out="told")))
     assert said[0]["length_m"] > 0.0
     states = [one["state"] for one in said if "state" in one]
-    assert states[-1] == json.loads(json.dumps(states[-1]))
     stages = [one["stages"][one["stage"]] for one in states]
     assert "push" in stages
     assert states == sorted(states, key=lambda one: one["stage"])  # which of them are told, the machine's load decides
@@ -208,8 +201,9 @@ def test_what_is_recorded_is_told_with_pictures_tags_and_advice(
     corners = np.array(tag["corners_px"])
     assert corners.shape == (4, 2)
     assert np.hypot(*(corners[1] - corners[0])) == pytest.approx(tag["side_px"], rel=0.2)
-    assert states[-1]["frames"] == outcome.state.frames
-    assert check_data(outcome.folder)["faults"] == ()
+    assert said[-2]["outcome"]["begun"]
+    assert states[-1]["frames"] == said[-2]["outcome"]["frames"]
+    assert said[-1]["check"]["faults"] == []
     assert check_data(places.root)["faults"][0].endswith("fill it in.")
 
 
@@ -221,13 +215,13 @@ def test_the_last_state_is_told_and_a_studio_that_stands_still_holds_nothing_up(
             free.wait(10.0)
             return memory.write(data)
 
-    talk, begun = Talk(Stuck(), capture_line), time.monotonic()
-    for seconds in range(50):
-        talk.watch(CaptureState("push", seconds=float(seconds)))
-    assert time.monotonic() - begun < 1.0
-    free.set()
-    talk.end()
-    assert lines_of(memory)[-1]["state"]["seconds"] == 49.0
+    begun = time.monotonic()
+    with Studio(Stuck(), io.BytesIO()).watching(capture_line) as watch:
+        for seconds in range(50):
+            watch(CaptureState("push", seconds=float(seconds)))
+        assert time.monotonic() - begun < 1.0
+        free.set()
+    assert json.loads(memory.getvalue().splitlines()[-1])["state"]["seconds"] == 49.0
 
 
 def test_a_large_picture_is_made_small() -> None:
@@ -240,35 +234,27 @@ def test_a_large_picture_is_made_small() -> None:
 
 def test_where_an_outline_is_not_seen_nothing_is_told() -> None:
     state, memory = CaptureState("push", outline=np.array([[1.04, 2.0], [np.nan, np.nan]])), io.StringIO()
-    talk = Talk(memory, capture_line)
-    talk.watch(state)
-    talk.end()
-    assert lines_of(memory)[-1]["state"]["outline_px"] == [[1.0, 2.0], [None, None]]
-
-
-def told() -> tuple[RecorderProcess, list[tuple[dict[str, Any], bool]]]:
-    messages: list[tuple[dict[str, Any], bool]] = []
-    return RecorderProcess(lambda message, passing: messages.append((message, passing))), messages
+    with Studio(memory, io.BytesIO()).watching(capture_line) as watch:
+        watch(state)
+    assert json.loads(memory.getvalue().splitlines()[-1])["state"]["outline_px"] == [[1.0, 2.0], [None, None]]
 
 
 def test_the_newest_pictures_are_kept_and_slow_tabs_miss_states_alone() -> None:
-    filming, messages = told()
+    filming = RecordingJobs(lambda _: None)
     filmed = filming.job = MadeRecording({"out": "new", "command": ""})
     with pytest.raises(StudioError, match="no picture"):
         filming.picture(1)
     for i in range(20):
         filmed.hear({"state": {"stage": 0, "frames": 0}, "picture": base64.b64encode(b"%d" % i).decode()})
-        filming.changed()
+        assert filmed.passing
     assert filming.picture(20) == filming.picture(3) == b"19"
     assert filming.picture(15) == b"14"
     assert (filmed.phase, filmed.shown()["picture"]) == ("recording", 20)
     filmed.hear({"outcome": {"begun": True, "fault": False}})
-    filming.changed()
-    assert filmed.phase == "checking"
+    assert (filmed.phase, filmed.passing) == ("checking", False)
     filmed.hear({"check": {"rows": [], "remarks": [], "faults": []}})
-    filming.changed()
-    assert [passing for _, passing in messages] == [True] * 20 + [False] * 2
-    assert messages[-1][0]["recording"]["check"] is not None
+    assert not filmed.passing
+    assert filmed.shown()["check"] is not None
 
 
 def test_the_routes_say_what_there_is(client: TestClient) -> None:

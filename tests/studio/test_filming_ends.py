@@ -47,7 +47,7 @@ def recorder_of(parent: int) -> int | None:
     for place in Path("/proc").glob("[0-9]*"):
         with suppress(OSError, IndexError):
             words, stat = (place / "cmdline").read_bytes(), (place / "stat").read_text().rpartition(")")[2].split()
-            if b"onebend.studio.recorder" in words and int(stat[1]) == parent:
+            if b"onebend.studio.worker" in words and int(stat[1]) == parent:
                 return int(place.name)
     return None
 

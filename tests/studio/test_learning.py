@@ -23,6 +23,8 @@ from onebend.errors import StudioError
 from onebend.results.model import read_model
 from onebend.studio.jobs import Job
 from onebend.studio.learned import film_data, result_data
+from onebend.studio.places import StudioFolder
+from onebend.studio.words import Asked
 from tests.studio.conftest import own
 
 
@@ -60,23 +62,26 @@ def test_the_list_says_what_is_there(working: TestClient) -> None:
     assert {("beam", "result"), ("hung weights", "recording")} <= {(one["name"], one["kind"]) for one in found}
 
 
-def report(folder: Path, data: str) -> Path:
+def film(folder: Path, data: str | None) -> dict[str, Any] | None:
+    """Of a result with this in its report."""
     folder.mkdir()
-    (folder / "report.html").write_text(f'<html><script type="application/json" id="data">{data}</script>')
-    return folder
+    (folder / "model.json").write_text("{}")
+    if data is not None:
+        (folder / "report.html").write_text(f'<html><script type="application/json" id="data">{data}</script>')
+    return film_data(StudioFolder.of(folder.parent), Asked(name=folder.name))
 
 
 def test_the_film_is_the_reports(tmp_path: Path) -> None:
-    film = {"width": 4, "height": 3, "frames": []}
-    data = json.dumps({"film": film, "curve": {"tag_id": [1, 2]}})
-    assert film_data(report(tmp_path / "a", data)) == film | {"tag_id": [1, 2]}
-    assert film_data(report(tmp_path / "b", '{"film": null}')) is None
-    assert film_data(report(tmp_path / "odd", '{"film": {}, "curve": [1]}')) == {"tag_id": []}
+    filmed = {"width": 4, "height": 3, "frames": []}
+    data = json.dumps({"film": filmed, "curve": {"tag_id": [1, 2]}})
+    assert film(tmp_path / "a", data) == filmed | {"tag_id": [1, 2]}
+    assert film(tmp_path / "b", '{"film": null}') is None
+    assert film(tmp_path / "odd", '{"film": {}, "curve": [1]}') == {"tag_id": []}
     for name, text in (("c", "{"), ("d", "[]"), ("e", "[" * 100_000)):
         with pytest.raises(StudioError, match="Learn again"):
-            film_data(report(tmp_path / name, text))
+            film(tmp_path / name, text)
     with pytest.raises(StudioError, match="no report"):
-        film_data(tmp_path)
+        film(tmp_path / "bare", None)
 
 
 def test_a_job_says_its_stages_in_order() -> None:
@@ -90,6 +95,10 @@ def test_a_job_says_its_stages_in_order() -> None:
     assert [(one["stage"], one["done"]) for one in shown["stages"]] == [("one", 3), ("two", 0)]
     assert shown["published"]
     assert shown["error"] == "no"
+
+
+def result(folder: Path, name: str) -> dict[str, Any]:
+    return result_data(StudioFolder.of(folder), Asked(name=name))
 
 
 def settled(client: TestClient, seconds: float = 90.0) -> dict[str, Any]:
@@ -127,7 +136,7 @@ def test_learned_here_is_learned_as_the_command_does(
     monkeypatch.chdir(folder)
     done = CliRunner().invoke(app, ["learn", "hung weights", "-o", "learned there", "--quiet"])
     assert done.exit_code == 0, done.output
-    here, there = (result_data(name, folder / name) for name in ("learned here", "learned there"))
+    here, there = (result(folder, name) for name in ("learned here", "learned there"))
     assert here["curve"] == there["curve"]
     assert here["verdict"] == there["verdict"]
     assert here["command"] == ["onebend", "learn", "hung weights", "--output", "learned here"]
@@ -140,12 +149,9 @@ def test_work_that_is_ended_leaves_an_earlier_result_whole(folder: Path, tmp_pat
     shutil.copytree(folder / "hung weights", tmp_path / "rec")
     shutil.copytree(folder / "beam", tmp_path / "out")
     before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
-    wanted = {
-        "folder": str(tmp_path), "recordings": ["rec"], "validate": [], "out": "fresh", "replace": False,
-        "command": "onebend learn rec",
-    }  # fmt: skip
+    wanted = {"folder": str(tmp_path), "command": "onebend learn rec --output fresh"}
     process = subprocess.Popen(
-        [sys.executable, "-m", "onebend.studio.learner"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-m", "onebend.studio.worker"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
     assert process.stdin is not None
     assert process.stdout is not None
@@ -194,4 +200,4 @@ def test_a_killed_studio_loses_no_result(folder: Path) -> None:
     while not (folder / "after the end" / "report.html").is_file():
         assert time.monotonic() < end
         time.sleep(0.2)
-    assert result_data("after the end", folder / "after the end")["verdict"]["grade"]
+    assert result(folder, "after the end")["verdict"]["grade"]

@@ -19,14 +19,18 @@ from onebend.control.reach import reach
 from onebend.errors import ControlError, StudioError
 from onebend.results.model import read_model
 from onebend.studio import looping
-from onebend.studio.looping import MOST_MOMENTS, beam_data, wanted_work
+from onebend.studio.bending import beam_data
+from onebend.studio.looping import MOST_MOMENTS
 from onebend.studio.places import StudioFolder
-from tests.studio.conftest import own
+from onebend.studio.requests import loop
+from onebend.studio.words import Asked
+from tests.studio.conftest import done_here, own
 from tests.studio.test_recordings import ended
 
 
-def asked_for(folder: Path, **more: Any) -> dict[str, Any]:
-    return {"model": "beam", "goal_m": beam_data("beam", folder / "beam")["goal_m"], "duration_s": 2, **more}
+def asked_for(folder: Path, **more: Any) -> Asked:
+    goal = beam_data(StudioFolder.of(folder), Asked(name="beam"))["goal_m"]
+    return Asked({"model": "beam", "goal_m": goal, "duration_s": 2, **more})
 
 
 def test_a_beam_is_shown_with_a_goal_that_it_reaches(client: TestClient, folder: Path) -> None:
@@ -42,11 +46,9 @@ def test_a_beam_is_shown_with_a_goal_that_it_reaches(client: TestClient, folder:
 def test_what_is_played_is_what_the_command_writes(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told: list[dict[str, Any]] = []
-    monkeypatch.setattr(looping, "tell", told.append)
     monkeypatch.chdir(folder)
-    wanted = wanted_work(StudioFolder.of(folder), asked_for(folder, k_error=0, delay_ms=40, fps=15, noise_mm=0.1))
-    looping.work(wanted)
+    wanted = loop(StudioFolder.of(folder), asked_for(folder, k_error=0, delay_ms=40, fps=15, noise_mm=0.1))
+    told = done_here(looping.work, wanted)
     trials = [one["found"]["trial"] for one in told if "trial" in one.get("found", {})]
     (control,) = [one["found"]["control"] for one in told if "control" in one.get("found", {})]
     words = [*shlex.split(wanted["command"])[1:], "--json", "-o", str(tmp_path / "out")]
@@ -88,22 +90,21 @@ def test_what_can_be_reached_is_shown(working: TestClient, folder: Path) -> None
 )  # fmt: skip
 def test_what_has_no_meaning_is_refused(folder: Path, more: dict[str, Any]) -> None:
     with pytest.raises(StudioError):
-        wanted_work(StudioFolder.of(folder), asked_for(folder, **more))
+        loop(StudioFolder.of(folder), asked_for(folder, **more))
 
 
 def test_what_is_asked_is_in_the_command(folder: Path) -> None:
     more = {"draws": 4, "push_s": 0.8, "point_s": 0.9, "max_force_N": 2.5, "delay_ms": 60.5}
-    command = wanted_work(StudioFolder.of(folder), asked_for(folder, **more))["command"]
+    command = loop(StudioFolder.of(folder), asked_for(folder, **more))["command"]
     for words in ("--draws 4", "--push-at 0.8", "--point 0.9", "--max-force-N 2.5", "--delay-ms 60.5"):
         assert words in command
     assert "--k-error" not in command
 
 
 def test_a_goal_out_of_reach_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(looping, "tell", lambda _: None)
     monkeypatch.chdir(folder)
     with pytest.raises(ControlError):
-        looping.work(wanted_work(StudioFolder.of(folder), asked_for(folder, goal_m=[5.0, 5.0])))
+        done_here(looping.work, loop(StudioFolder.of(folder), asked_for(folder, goal_m=[5.0, 5.0])))
 
 
 def test_a_simulation_is_stopped(working: TestClient, folder: Path) -> None:

@@ -11,6 +11,7 @@ from starlette.testclient import TestClient
 from onebend.errors import StudioError
 from onebend.studio.learned import film_data
 from onebend.studio.places import StudioFolder
+from onebend.studio.words import Asked
 from tests.studio.conftest import own
 
 OUTSIDE = (
@@ -51,7 +52,7 @@ def test_a_report_that_is_a_link_shows_no_film(places: StudioFolder) -> None:
     report.write_text('<script type="application/json" id="data">{"film": {"frames": []}}</script>')
     (places.root / "beam" / "report.html").symlink_to(report)
     with pytest.raises(StudioError, match="has no report"):
-        film_data(places.result("beam"))
+        film_data(places, Asked(name="beam"))
 
 
 def test_what_is_there_is_found_by_name(places: StudioFolder) -> None:

@@ -17,7 +17,8 @@ import pytest
 from starlette.websockets import WebSocketDisconnect
 
 from onebend.studio.desk import Client, Desk
-from onebend.studio.places import Strangers, StudioFolder
+from onebend.studio.guard import Strangers
+from onebend.studio.places import StudioFolder
 
 resource = pytest.importorskip("resource")
 FILES = 256  # that the studio may open

@@ -43,7 +43,7 @@ def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(core: Path, *words: str) -> str:
     """What `python WORDS` prints in that copy; it must succeed."""
-    env = {**os.environ, "PYTHONPATH": str(core / "src"), "COLUMNS": "100", "PYTHONDONTWRITEBYTECODE": "1"}
+    env = {**os.environ, "PYTHONPATH": str(core / "src"), "COLUMNS": "100"}
     done = subprocess.run([sys.executable, *words], cwd=core, env=env, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
     return done.stdout

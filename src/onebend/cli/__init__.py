@@ -12,17 +12,16 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextvars import ContextVar
 from difflib import get_close_matches
 from functools import wraps
-from inspect import Parameter, Signature, signature
+from inspect import Parameter, Signature
 from pathlib import Path
-from typing import Annotated, Any, Literal, NoReturn, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, NoReturn, Union
 
 import typer
 from typer.core import TyperCommand, TyperGroup
-from typer.models import OptionInfo
 
 import onebend
 from onebend.crash import clean_errors, guarded
@@ -40,13 +39,12 @@ GIVEN: ContextVar[Mapping[str, Any]] = ContextVar("GIVEN")  # options of the run
 
 
 def remembered(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with its options in `GIVEN`; a user's mistake ends it in one message."""
+    """The command with its options in `GIVEN`."""
 
     @wraps(command)
     def inside(**options: Any) -> None:
         GIVEN.set(options)
-        with clean_errors():
-            command(**options)
+        command(**options)
 
     return inside
 
@@ -57,34 +55,11 @@ def all_commands() -> dict[str, Place]:
     return dict(sorted(items, key=lambda item: GROUPS.index(item[1].group)))
 
 
-# The options of a command as data: name, kind, default and help of each.
+# The options of a command from data: name, kind, default and help of each. `make docs` writes them.
 
 KINDS: dict[str, Any] = {"bool": bool, "int": int, "float": float, "str": str, "Path": Path, "None": None}
 MADE_OF: dict[str, Any] = {"tuple": tuple, "list": list, "one of": Literal, "either": Union}
 SAID = ("help", "metavar", "min", "max")
-
-
-def as_data(function: Callable[..., None]) -> list[dict[str, Any]]:
-    """One entry per parameter."""
-    return [_parameter_data(one) for one in signature(function).parameters.values()]
-
-
-def _parameter_data(one: Parameter) -> dict[str, Any]:
-    kind, info = get_args(one.annotation)
-    asked = isinstance(info, OptionInfo)
-    names = [name for name in (info.default, *(info.param_decls or ())) if isinstance(name, str)] if asked else None
-    said = {key: getattr(info, key) for key in SAID if getattr(info, key) is not None}
-    default = {} if one.default is Parameter.empty else {"default": one.default}
-    data = {"name": one.name, "kind": _kind_data(kind), "options": names, **said, **default}
-    return dict(json.loads(json.dumps(data, default=str)))
-
-
-def _kind_data(kind: Any) -> Any:
-    inside, origin = get_args(kind), get_origin(kind)
-    if not inside:
-        return kind if isinstance(kind, str) else "None" if kind is type(None) else kind.__name__
-    name = {tuple: "tuple", list: "list", Literal: "one of"}.get(origin, "either")
-    return [name, *(one if origin is Literal else _kind_data(one) for one in inside)]
 
 
 def function_of(data: Iterable[Mapping[str, Any]]) -> Callable[..., None]:
@@ -123,8 +98,15 @@ class Command(TyperCommand):
         self.place = place
 
     def loaded(self) -> Any:
-        """With one BLAS thread."""
-        return self._made(one_blas_thread(remembered(self.function())))
+        """With one BLAS thread; a user's mistake ends it in one message."""
+        return self._made(clean_errors()(one_blas_thread(remembered(self.function()))))
+
+    def given(self, words: Sequence[str]) -> dict[str, Any]:
+        """What the function is given for these words, which are then in `GIVEN`. Raises `UsageError`."""
+        found: dict[str, Any] = {}
+        keep = wraps(self.place.load())(lambda **given: found.update(given))
+        self._made(remembered(self.function(keep))).main([*words], standalone_mode=False)
+        return found
 
     def described(self) -> Any:
         """For `--help` only, from `options.json`; None if the command is not there."""
@@ -137,11 +119,11 @@ class Command(TyperCommand):
         single.command(self.name, help=self.place.help, epilog="\n\n".join(lines))(function)
         return typer.main.get_command(single)
 
-    def function(self) -> Callable[..., None]:
-        """With a parameter for each option."""
+    def function(self, function: Callable[..., None] | None = None) -> Callable[..., None]:
+        """With a parameter for each option; another `function` may take its place."""
         from onebend.options import expanded  # here: `--help` does without
 
-        return expanded(self.place.load(), str(self.name))
+        return expanded(function or self.place.load(), str(self.name))
 
     def make_context(self, info_name: str | None, args: list[str], *more: Any, **kwargs: Any) -> Any:
         if {*HELP} & {*args} and (described := self.described()) is not None:

@@ -11,7 +11,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import numpy as np
 import typer
@@ -32,7 +32,7 @@ from rich.text import Text
 
 from onebend.cli import GIVEN
 from onebend.errors import RecordingError, reference
-from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish, unplaced, write_summary
+from onebend.files.publish import OutputFolder, publish, workplace, write_summary
 from onebend.options import POSITIVE, Only, option
 from onebend.progress import Progress, Silent
 from onebend.records import Array, Remark
@@ -55,6 +55,13 @@ Recording = Annotated[Path, typer.Argument(metavar="REC")]
 Model = Annotated[Path, typer.Argument(metavar="MODEL")]
 
 
+class Listener(Progress, Protocol):
+    """A program that has a command carried out, in the place of a person at a screen."""
+
+    def published(self) -> None:
+        """The answer is in its folder; pictures may come later."""
+
+
 @dataclass(frozen=True)
 class AnswerOptions:
     """Where the answer goes, and how."""
@@ -63,6 +70,7 @@ class AnswerOptions:
     overwrite: bool = option("--overwrite --force", False)
     as_json: bool = option("--json", False)
     quiet: bool = option("--quiet -q", False)
+    listener: Listener | None = None
 
 
 Saved = Annotated[AnswerOptions, Only(("output", "overwrite", "as_json"))]
@@ -163,24 +171,6 @@ def stderr_screen() -> Console:
 
 
 @contextmanager
-def workplace(out: Path, kind: str, overwrite: bool) -> Iterator[OutputFolder]:
-    """For results in `out`; an early end says what is there."""
-    place = prepare(out, kind=kind, overwrite=overwrite)
-    try:
-        yield place
-    except BaseException as error:
-        abandon(place)
-        if place.published:
-            error.add_note(f"The results are in {out}, but for the pictures.")
-        elif (whole := unplaced(place)) is not None:
-            error.add_note(f"The results themselves are in {whole}.")
-        elif isinstance(error, KeyboardInterrupt):
-            error.add_note("Nothing was written.")
-        raise
-    finish(place)
-
-
-@contextmanager
 def place_for(told: AnswerOptions, kind: str) -> Iterator[OutputFolder | None]:
     """A `workplace` if there is an output, else None."""
     with nullcontext() if told.output is None else workplace(told.output, kind, told.overwrite) as place:
@@ -223,7 +213,6 @@ def put_results(
     *,
     figures: str | None = "",
     inputs: Sequence[InputFile] = (),
-    made_from: Mapping[str, Any] | None = None,
 ) -> None:
     """Publishes the files of `tables`, the pictures and `summary.json`.
 
@@ -237,7 +226,7 @@ def put_results(
             pictures.write(folder / figures)
         write_summary(folder, summary)
 
-    put_in_place(place, write, pictures.failed if pictures else {}, inputs=inputs, made_from=made_from)
+    put_in_place(place, write, pictures.failed if pictures else {}, inputs=inputs)
 
 
 def save_results(
@@ -263,10 +252,10 @@ def say_failed(failed: Mapping[str, str]) -> None:
 
 
 @contextmanager
-def progress_of(quiet: bool) -> Iterator[Progress]:
-    """Bars on standard error, or nothing."""
-    if quiet:
-        yield Silent()
+def progress_of(told: AnswerOptions) -> Iterator[Progress]:
+    """The listener's, bars on standard error, or nothing."""
+    if told.quiet or told.listener is not None:
+        yield told.listener or Silent()
         return
     with Bars(stderr_screen()) as bars:
         yield bars

@@ -16,7 +16,7 @@ from rich.text import Text
 from onebend.cli import common
 from onebend.cli.models import SetUpOptions, read_trusted
 from onebend.cli.screens import show_damping, show_frequencies, show_run, show_sensed, show_validation
-from onebend.files.publish import amend, this_onebend
+from onebend.files.publish import amend, this_onebend, workplace
 from onebend.files.single_file import check_name_free, write_file
 from onebend.learning import design, optimizer, paper, swing
 from onebend.learning.sensing.sense import SenseSettings, sense as sense_force
@@ -56,7 +56,7 @@ def frequencies(
     observing: Watched,
     told: common.Told,
 ) -> None:
-    with common.progress_of(told.quiet) as progress:
+    with common.progress_of(told) as progress:
         detect = detection_cache().detect
         signals = swing_signals(source, threads=observing.threads, detect=detect, progress=progress)
         found = swing.frequencies_of(signals.time, signals.value, part, most=most, name=signals.name)
@@ -77,7 +77,7 @@ def damp(
     stored = read_trusted(model)
     if output is not None:
         check_name_free(output, overwrite=told.overwrite)
-    with common.progress_of(told.quiet) as progress:
+    with common.progress_of(told) as progress:
         seen = _observed(stored, recording, observing, progress)
         fit = swing.learn_damping(stored.beam, seen, uncertain=stored.uncertain, part=part, settings=settings)
     if output is not None:
@@ -100,7 +100,7 @@ def sense(
 ) -> None:
     stored = read_trusted(model)
     with common.place_for(told, SENSE_FORMAT) as work:
-        with common.progress_of(told.quiet) as progress:
+        with common.progress_of(told) as progress:
             seen = _observed(stored, recording, observing, progress)
         setup = where.of(stored)
         found = sense_force(stored.beam, seen, stiffness=stored.uncertain, setup=setup, settings=settings)
@@ -170,9 +170,9 @@ def learn(
     settings = replace(settings, method="paper" if method == "paper" else "regression")
     fit = fitting if method == "fit" else None
     frames = KeptFrames()
-    with common.workplace(out, learned_files.LEARN_FORMAT, told.overwrite) as place:
+    with workplace(out, learned_files.LEARN_FORMAT, told.overwrite) as place:
         inputs = inputs_of(recording_files([*recordings, *(validate_on or ())]))
-        with common.progress_of(told.quiet) as progress:
+        with common.progress_of(told) as progress:
             run = learn_from(
                 *recordings,
                 settings=settings,
@@ -193,10 +193,12 @@ def learn(
             common.put_in_place(place, write, pictures.failed if pictures else {}, made_from=made_from)
 
         put(None if no_report else Pictures())  # the fit is safe before pictures are drawn
-        if not told.as_json:
+        if told.listener is not None:
+            told.listener.published()
+        elif not told.as_json:
             show_run(common.screen(), run, out, report=not no_report)
         if not no_report:
-            with common.progress_of(told.quiet) as progress:
+            with common.progress_of(told) as progress:
                 pictures = draw_all(run, frames=frames, progress=progress)
             put(pictures)
     if told.as_json:
@@ -222,7 +224,7 @@ def validate(
     setup, known = where.of(stored), observations_beside(model)
     with (
         common.place_for(told, learned_files.VALIDATE_FORMAT) as place,
-        common.progress_of(told.quiet) as progress,
+        common.progress_of(told) as progress,
     ):
         inputs = () if place is None else inputs_of([model_file(model), *recording_files(recordings)])
         pairs = compare(
@@ -246,7 +248,7 @@ def validate(
 
 
 def plan(model: common.Model, *, settings: design.PlanSettings, told: common.Told) -> None:
-    with common.progress_of(told.quiet) as progress:
+    with common.progress_of(told) as progress:
         read_trusted(model)  # warns of doubts
         found = plan_next(model, settings=settings, progress=progress)
     summary = learned_files.plan_summary(str(model), found)

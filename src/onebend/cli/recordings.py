@@ -287,7 +287,7 @@ def calibrate(
 ) -> None:
     wanted = _board(board, square, marker, dictionary)
     check_name_free(output, overwrite=told.overwrite)
-    with common.progress_of(told.quiet) as progress:
+    with common.progress_of(told) as progress:
         found = calibrate_camera(video, wanted, topic=topic, most_views=views, progress=progress)
     write_file(output, found.camera_table(), overwrite=told.overwrite)
     said = headed(CALIBRATE_FORMAT, video=str(video), topic=topic or None, **found.as_dict())

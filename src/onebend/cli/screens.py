@@ -26,7 +26,7 @@ from onebend.report.verdict import hopeless, validation_verdict, verdict_of
 from onebend.results.model import StoredModel
 
 if TYPE_CHECKING:
-    from onebend.learning.sensing.endings import Edge
+    from onebend.learning.sensing.contacts import Edge
     from onebend.learning.sensing.sense import Sensed
     from onebend.learning.sensing.sensor import SensorCheck
 

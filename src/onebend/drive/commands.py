@@ -57,7 +57,8 @@ def drive(
     push_at: common.PushAt = 1.0, settings: DriveSettings, overwrite: Replace = False, told: common.Told,
 ) -> None:  # fmt: skip
     """Bend a learned beam to a goal with a robot and a camera: a plan first, and with --go the real loop, recorded."""
-    with common.progress_of(told.quiet or told.as_json) as progress:
+    told = replace(told, quiet=told.quiet or told.as_json)
+    with common.progress_of(told) as progress:
         plan, made = planned(
             model, folder, asked, settings, goal=goal, point_s=point, push_s=push_at, progress=progress
         )  # fmt: skip
@@ -76,9 +77,7 @@ def drive(
         raise RecordingError("--robot is missing: which one is to move? See docs/drive.md.")
     with (
         common.stopped_by_hand(times=2) as (stop, enter),
-        StateView(
-            None if told.quiet or told.as_json else common.stderr_screen(), _screen, lambda one: (one.says, one.says)
-        ) as view,
+        StateView(None if told.quiet else common.stderr_screen(), _screen, lambda one: (one.says, one.says)) as view,
     ):
         outcome = go(folder, asked, plan, made, view.show, (stop, enter), overwrite=overwrite)
     _answer(outcome, data_alone=told.as_json)

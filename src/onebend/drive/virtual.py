@@ -12,7 +12,7 @@ import math
 import time as host
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any
@@ -61,10 +61,12 @@ class VirtualSetup:
 class VirtualCell:
     """The simulation; it stands until it is told to go on. Not for two threads."""
 
+    eye: type[bench_camera.BenchCamera] = bench_camera.BenchCamera
+
     def __init__(self, setup: VirtualSetup, begin: float = 0.0, *, draws: bool = True) -> None:
         """At rest at `begin` [s], the hand on the beam without pushing; `draws`: False: pictures are empty."""
         self.setup, self.time = setup, begin
-        self.faults: dict[str, Any] = {}  # what tests do to it
+        self.slipped = False  # the beam has jumped off the hand
         bench, rec = setup.bench, setup.rec
         assert rec.force is not None
         self._axes = axes_of(rec.force) @ Rotation.from_rotvec(setup.off).as_matrix()
@@ -91,8 +93,8 @@ class VirtualCell:
         self._exposed = begin  # s, of the next picture
         self._camera = None
         if draws:
-            self._camera = bench_camera.BenchCamera(bench, rec, noise=setup.noise, sees=setup.sees, seed=setup.seed)
-        self.largest, self._wrench = 0.0, np.zeros(6)  # N on the beam so far; as it was said last
+            self._camera = self.eye(bench, rec, noise=setup.noise, sees=setup.sees, seed=setup.seed)
+        self.largest = 0.0  # N on the beam so far
 
     def advance(self, until: float) -> None:
         """Go on to `until` [s]."""
@@ -113,19 +115,14 @@ class VirtualCell:
 
     def state(self) -> ArmState:
         """As the robot says it."""
-        if "stuck" in self.faults:
-            return ArmState(self.time, self._tool(), self._wrench)
         felt = self.sensed()
         wrench = np.concatenate([self._sign * self.setup.gain * (self._axes[:, :2] @ felt), np.zeros(3)])
         wrench[:3] += np.array(self.setup.bias) + self._wander + self.setup.white * self._rng.standard_normal(3)
-        self._wrench = wrench
         return ArmState(self.time, self._tool(), wrench)
 
     def sensed(self) -> Array:
         """(2,) N on the beam, as the sensor has it but for its noise."""
-        if "stuck" in self.faults:
-            return np.asarray(self.faults["stuck"])
-        return -self.wrench[:2] if "flipped" in self.faults else self.wrench[:2]
+        return self.wrench[:2]
 
     def _tool(self) -> ToolPose:
         place = np.array(self.setup.base) + self._axes[:, :2] @ self.hand[:2]
@@ -156,7 +153,7 @@ class VirtualCell:
 
     def _follow(self) -> None:
         """The beam goes where the hand is: at once, else in small steps, else it slips off."""
-        if "slipped" in self.faults:
+        if self.slipped:
             return
         begin = self._touched
         for parts in (1, 8):
@@ -196,7 +193,7 @@ class VirtualCell:
 
     def slip(self) -> None:
         """No shape is near: the beam has jumped off the hand, and lies at rest."""
-        self.faults["slipped"] = True
+        self.slipped = True
         self.wrench = np.zeros_like(self.wrench)
         self._angle, self.poses = self._bent(self.wrench, self._contact.rest)
 
@@ -225,27 +222,21 @@ class VirtualCell:
         if len(wrench) == 3:
             last, arm = float(angle[-1]), cells.length * cells.size[-1]
             beyond[-1] = wrench[2] / arm * np.array([-math.sin(last), math.cos(last)])
-        stiffer = float(self.faults.get("softer", 1.0))
-        scaled = cells if stiffer == 1.0 else replace(cells, joint=stiffer * cells.joint)
         found, place = rod.balanced(
-            scaled, self._contact, angle, wrench[:2], beyond, share * self._held(), share * self._new
+            cells, self._contact, angle, wrench[:2], beyond, share * self._held(), share * self._new
         )
         held = wrench[:2] * self._contact.loaded(place)[:, None] + beyond
-        return found, rod.poses_of(scaled, found, held)
+        return found, rod.poses_of(cells, found, held)
 
     def _expose(self) -> None:
         """A picture is taken now, and drawn when it is fetched."""
         self._exposed += 1.0 / self.setup.fps
-        late = self.setup.delay + float(self.faults.get("late", 0.0))
-        if "camera" in self.faults:
-            return
         shown, force = self.poses[self._shown].copy(), self.wrench[:2].copy()
-        time, faults = self.time, dict(self.faults)
-        eye = self._camera
+        time, eye = self.time, self._camera
         draw: Callable[[], Picture] = (
-            (lambda: _blank(self.setup)) if eye is None else (lambda: eye.picture(shown, force, time, faults))
+            (lambda: _blank(self.setup)) if eye is None else (lambda: eye.picture(shown, force, time))
         )
-        self.frames.append((self.time + late, self.time, draw))
+        self.frames.append((time + self.setup.delay, time, draw))
 
 
 _MOST_TRIES, _ANEW = 12, (4, 8)  # turns of Newton's method, and those before which its matrix is made anew

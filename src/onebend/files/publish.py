@@ -13,8 +13,8 @@ import shutil
 import socket
 import stat
 from collections import defaultdict
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from importlib.metadata import version
@@ -305,6 +305,24 @@ def prepare(out: Path, *, kind: str, overwrite: bool) -> OutputFolder:
         abandon(place)
         raise
     return place
+
+
+@contextmanager
+def workplace(out: Path, kind: str, overwrite: bool) -> Iterator[OutputFolder]:
+    """For results in `out`; an early end says what is there."""
+    place = prepare(out, kind=kind, overwrite=overwrite)
+    try:
+        yield place
+    except BaseException as error:
+        abandon(place)
+        if place.published:
+            error.add_note(f"The results are in {out}, but for the pictures.")
+        elif (whole := unplaced(place)) is not None:
+            error.add_note(f"The results themselves are in {whole}.")
+        elif isinstance(error, KeyboardInterrupt):
+            error.add_note("Nothing was written.")
+        raise
+    finish(place)
 
 
 def publish(place: OutputFolder, write: Callable[[Path], None], made_from: Mapping[str, Any] | None = None) -> None:

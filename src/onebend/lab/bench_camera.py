@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -50,23 +49,21 @@ class BenchCamera:
         lit = np.asarray(self._staged.table.y * self._staged.light)
         self._tables = [self._grey(lit) for _ in range(_TABLES)]
 
-    def picture(self, poses: Array, force: Array, time: float, faults: Mapping[str, Any]) -> Picture:
-        """(H, W) of the beam with poses (121, 3) at `PLACES` under `force` (2,) N.
-
-        `faults`: "swapped", the last two tags; "hidden", the number of one that is covered."""
+    def faces(self, poses: Array) -> Array:
+        """(m + 1, 6) as of `filming.tag_faces`, of one beam with poses (121, 3)."""
         flat = np.zeros((1, len(filming.PLACES)))
-        tags = filming.tag_faces(self._filming, poses[None], flat, flat)[0]
-        if "swapped" in faults:
-            tags[[-1, -2]] = tags[[-2, -1]]
+        return np.asarray(filming.tag_faces(self._filming, poses[None], flat, flat)[0])
+
+    def picture(self, poses: Array, force: Array, time: float) -> Picture:
+        """(H, W) of the beam with poses (121, 3) at `PLACES` under `force` (2,) N."""
+        tags, flat = self.faces(poses), np.zeros(len(filming.PLACES))
         turn = math.atan2(force[1], force[0]) if float(np.hypot(*force)) > 1e-3 else 0.5 * math.pi
         cast = replace(self._cast, push=replace(self._cast.push, direction=turn, turn=0.0))
         drawing = filming.moment_of(
-            cast, filming.BeamPose(time, poses[:, :2], poses[:, 2], tags, flat[0], self._cast.push.at_s)
+            cast, filming.BeamPose(time, poses[:, :2], poses[:, 2], tags, flat, self._cast.push.at_s)
         )
         y = self._tables[int(self._rng.integers(_TABLES))].copy()
         self._draw(y, drawing)
-        if "hidden" in faults:
-            self._cover(y, tags[1 + int(faults["hidden"])])
         return y
 
     def _grey(self, level: rendering.Image) -> Picture:
@@ -92,15 +89,6 @@ class BenchCamera:
                 where = part[box.within(here)]
                 where += rendering.coverage(px, box) * (np.float32(rendering.yuv(layer.colour)[0]) - where)
         y[here.slices] = self._grey(gaussian_filter(part, staged.scene.blur, truncate=2.5) * staged.light[here.slices])
-
-    def _cover(self, y: Picture, tag: Array) -> None:
-        """Something dull lies on a tag."""
-        view = self._staged.view
-        inside = view.rotation @ np.array([tag[0], tag[1], 0.0]) + view.translation
-        px = view.matrix[:2, :2] @ (inside[:2] / inside[2]) + view.matrix[:2, 2]
-        half = 0.9 * view.matrix[0, 0] * self._filming.tag_size / inside[2]
-        left, top, right, bottom = (max(int(v), 0) for v in (*(px - half), *(px + half)))
-        y[top:bottom, left:right] = 100
 
 
 _TABLES = 8  # pictures of the empty table, each with its own noise

@@ -17,7 +17,7 @@ from rich.table import Table
 from onebend.beam.stiffness import half_width
 from onebend.cli import common
 from onebend.errors import MechanicsError, reference
-from onebend.files.publish import headed, this_onebend
+from onebend.files.publish import headed, this_onebend, workplace
 from onebend.files.single_file import write_files
 from onebend.lab import designs
 from onebend.lab.filming import Filming, check, check_trackable, film as make_film, marker_recording
@@ -54,7 +54,7 @@ def film(
     asked: FilmOptions,
     told: common.Told,
 ) -> None:
-    with common.progress_of(told.quiet) as progress:
+    with common.progress_of(told) as progress:
         filming, folder = _filming(design, request, asked.seed, output, asked.effects)
         check(filming, folder)
         if asked.markers:
@@ -66,7 +66,7 @@ def film(
             else:
                 make_film(filming, folder, seed=asked.seed, progress=progress)
 
-        with common.workplace(folder, FILM_FORMAT, overwrite=False) as place:
+        with workplace(folder, FILM_FORMAT, overwrite=False) as place:
             common.put_in_place(place, make)
     bench = filming.bench
     if told.as_json:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,13 +19,14 @@ from onebend.cli import common
 from onebend.cli.control import show_loop
 from onebend.cli.models import SetUpOptions, gravity_on, read_trusted, warn_beyond_learned
 from onebend.control import loop_simulation
-from onebend.control.loop import controller
+from onebend.control.loop import Controller, controller
 from onebend.errors import RecordingError
 from onebend.lab import rehearsal as rehearsals
 from onebend.lab.forecast import Tolerances, known_beam, setup_of
 from onebend.lab.random_bench import FilmRequest
 from onebend.learning.design import PLACES
 from onebend.options import POSITIVE, Only, option
+from onebend.progress import Progress, Silent, track
 from onebend.report.pictures import draw
 from onebend.report.sentences import say, significant, width_words
 from onebend.results.control_files import loop_summary, write_loop
@@ -55,6 +56,32 @@ def loop(
     where: SetUpOptions,
     told: common.Saved,
 ) -> None:
+    control, simulated = simulation(
+        model, goal=goal, push_at=push_at, point=point, gravity=gravity, camera=camera, asked=asked, where=where
+    )
+    trials, known = tuple(simulated), control.margins()
+    summary = loop_summary(str(model), control, known, trials)
+    if told.output is not None:
+        from onebend.report.control_figures import looping  # here: it loads Matplotlib
+
+        tables, figures = partial(write_loop, trials=trials), {"loop": lambda: looping(control, trials)}
+        common.save_results(told, summary, tables, figures, [model_file(model)])
+    common.answer(told, summary, lambda console: show_loop(console, control, known, trials, told.output))
+
+
+def simulation(
+    model: Path,
+    *,
+    goal: tuple[float, float],
+    push_at: float,
+    point: float,
+    gravity: tuple[float, float],
+    camera: loop_simulation.LoopCamera,
+    asked: SimulatedLoop,
+    where: SetUpOptions,
+    progress: Progress = Silent(),
+) -> tuple[Controller, Iterator[loop_simulation.LoopTrial]]:
+    """The controller, and its trials beam by beam as they are simulated."""
     stored = read_trusted(model)
     learned_from, weight = stored.setup, gravity_on(stored.beam, gravity)
     stored, _ = where.bending(stored, push_at, weight, point)
@@ -67,15 +94,8 @@ def loop(
     settings = loop_simulation.trial_settings(camera.fps, camera.delay, asked.k_error, asked.max_force)
     control = controller(beam, goal, push_s=push_at, point_s=point, gravity=weight, settings=settings)
     warn_beyond_learned(learned_from, control.reference.ends)
-    trials = tuple(loop_simulation.simulate_trials(control, beams, eye=camera, duration=asked.duration))
-    known = control.margins()
-    summary = loop_summary(str(model), control, known, trials)
-    if told.output is not None:
-        from onebend.report.control_figures import looping  # here: it loads Matplotlib
-
-        tables, figures = partial(write_loop, trials=trials), {"loop": lambda: looping(control, trials)}
-        common.save_results(told, summary, tables, figures, [model_file(model)])
-    common.answer(told, summary, lambda console: show_loop(console, control, known, trials, told.output))
+    trials = loop_simulation.simulate_trials(control, beams, eye=camera, duration=asked.duration)
+    return control, track(progress, "simulating", trials, len(beams))
 
 
 EVERY = 10  # of the 101 places
@@ -152,7 +172,7 @@ def rehearse(
     )
     with (
         common.place_for(told, rehearsals.REHEARSE_FORMAT) as place,
-        common.progress_of(told.quiet) as progress,
+        common.progress_of(told) as progress,
     ):
         inputs = () if place is None else inputs_of([Path(design)])
         found = rehearsals.rehearse(setup, count=asked.count, progress=progress)

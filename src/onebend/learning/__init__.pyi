@@ -44,7 +44,7 @@ from .parameters import (
 from .posterior import Nuisance as Nuisance, Quantities as Quantities
 from .prediction import Prediction as Prediction, Slopes as Slopes, TagMotion as TagMotion, TagRide as TagRide
 from .push_place import PlaceSearch as PlaceSearch
-from .sensing.endings import Edge as Edge
+from .sensing.contacts import Edge as Edge
 from .sensing.forces import Misfit as Misfit
 from .sensing.sense import (
     ContactMoment as ContactMoment,

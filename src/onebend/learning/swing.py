@@ -184,30 +184,52 @@ def first_passage(time: Array, signals: Array) -> float:
         if seen.sum() < max(_FEWEST_SEEN, _OFTEN * most):
             continue
         value = column[seen] - np.median(column[seen][-max(int(_REST * seen.sum()), _FEWEST_SEEN) :])
-        rough = float(np.median(np.abs(np.diff(value, n=2)))) / np.sqrt(6.0)
-        found.append(_first_passage(time[seen], value, _CLEAR * rough))
-    return float(np.nanmin(found)) if np.isfinite(found).any() else float("nan")
+        swing = half_swings(time[seen], value, roughness(value))
+        found += [] if swing is None else [swing.passage]
+    return min(found, default=float("nan"))
 
 
-def _first_passage(time: Array, value: Array, least: float) -> float:
-    """s, begin of the longest chain of half swings that are alike in time, do not grow and exceed `least`; NaN if it is
-    short."""
+def roughness(value: Array) -> float:
+    """The sd of white noise in a smooth signal (N,), N >= 3, from its second differences."""
+    return float(np.median(np.abs(np.diff(value, n=2))) / np.sqrt(6.0))
+
+
+@dataclass(frozen=True)
+class HalfSwings:
+    """Half swings in a row, alike in time, of which none is larger than the one before."""
+
+    passage: float  # s, where the first begins
+    half: float  # s, how long one lasts
+    end: float  # s, where the last one ends
+    size: float  # of the first
+    left: float  # size of the last over that of the first
+
+
+def half_swings(
+    time: Array, value: Array, noise: float, *, fewest: int = _HALF_SWINGS, starts: int | None = None
+) -> HalfSwings | None:
+    """The longest row of half swings clear of `noise` (sd) in a signal (N,) that is zero at rest; of those that begin
+    at one of the first `starts` passages through rest, where said. None: all have less than `fewest`."""
     change = np.flatnonzero(np.diff(np.sign(value)) != 0.0)
     share = value[change] / (value[change] - value[change + 1])
     passage = time[change] + share * (time[change + 1] - time[change])
     size = np.array([np.max(np.abs(part)) for part in np.split(value, change + 1)[1:-1]])
-    lasts = np.diff(passage)
-    best, first = 0, float("nan")
-    for i in range(len(lasts)):
+    lasts, rows = np.diff(passage), []
+    for i in range(len(lasts))[:starts]:
         usual, stop = lasts[i], i
-        while stop < len(lasts) and size[stop] > least and abs(lasts[stop] / usual - 1.0) < _UNEVEN:
+        while stop < len(lasts) and size[stop] > _CLEAR * noise and abs(lasts[stop] / usual - 1.0) < _UNEVEN:
             if stop > i and size[stop] > _GROWS * size[stop - 1]:
                 break
             stop += 1
             usual = float(np.median(lasts[i:stop]))
-        if stop - i > best:
-            best, first = stop - i, float(passage[i])
-    return first if best >= _HALF_SWINGS else float("nan")
+        if stop - i >= fewest:
+            rows.append((stop - i, -i))
+    if not rows:
+        return None
+    count, first = max(rows)
+    i, stop = -first, count - first
+    half = float(np.median(lasts[i:stop]))
+    return HalfSwings(float(passage[i]), half, float(passage[stop]), float(size[i]), float(size[stop - 1] / size[i]))
 
 
 def basis_of(t: Array, modes: list[tuple[float, float]]) -> Array:

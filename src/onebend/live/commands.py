@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from threading import Event
 from typing import Annotated, Generic, Self, TypeVar
 
 import numpy as np
@@ -146,6 +147,30 @@ def record(
     told: Told,
 ) -> None:
     """Record a push with a camera and a force sensor: guided from rest to rest, with k(s) while it goes on."""
+    shown = StateView(None if told.quiet or told.as_json else stderr_screen(), recording_screen, recording_line)
+    with stopped_by_hand() as (stop, begin), shown as view:
+        outcome = recorded(folder, asked, settings, view.show, stop, begin)
+    if outcome.film is None or outcome.fault:
+        kept = f"The recording up to then is in {folder}." if outcome.film else "Nothing was recorded."
+        if outcome.film is None and not outcome.fault:
+            kept += " To film whatever is wrong with the picture, add --now."
+        why = outcome.why if outcome.why.endswith(("?", ".")) else f"{outcome.why}."
+        raise RecordingError(f"{why} {kept}")
+    if told.as_json:
+        print_json(live.outcome_data(outcome))
+        return
+    say(live.outcome_words(outcome))
+
+
+def recorded(
+    folder: Path,
+    asked: RecordOptions,
+    settings: CaptureSettings,
+    watch: Callable[[CaptureState], None],
+    stop: Event,
+    begin: Event,
+) -> live.CaptureOutcome:
+    """A push, until it is over or `stop` is set. Raises `OnebendError` where it cannot begin."""
     camera, force, play, like = asked.camera, asked.force, asked.play, asked.like
     settings = replace(settings, until=percent(asked.until))
     if play is not None:
@@ -161,17 +186,5 @@ def record(
     sources = live.camera_of(camera), None if force in (None, "none") else live.force_of(force)
     if like is not None:
         live.copy_description(like, folder)
-    shown = StateView(None if told.quiet or told.as_json else stderr_screen(), recording_screen, recording_line)
-    with stopped_by_hand() as (stop, begin), shown as view:
-        clock = live.PlayedClock() if asked.fast else None
-        outcome = live.record(folder, *sources, settings, view.show, stop, begin=begin, clock=clock)
-    if outcome.film is None or outcome.fault:
-        kept = f"The recording up to then is in {folder}." if outcome.film else "Nothing was recorded."
-        if outcome.film is None and not outcome.fault:
-            kept += " To film whatever is wrong with the picture, add --now."
-        why = outcome.why if outcome.why.endswith(("?", ".")) else f"{outcome.why}."
-        raise RecordingError(f"{why} {kept}")
-    if told.as_json:
-        print_json(live.outcome_data(outcome))
-        return
-    say(live.outcome_words(outcome))
+    clock = live.PlayedClock() if asked.fast else None
+    return live.record(folder, *sources, settings, watch, stop, begin=begin, clock=clock)

@@ -15,6 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from onebend.cli import common
+from onebend.files.publish import workplace
 from onebend.many import batch as batches, population_report
 from onebend.many.batch import BatchOutcome, run_batch
 from onebend.many.population import TABLES, read_batch
@@ -105,7 +106,7 @@ def batch(
     asked: BatchOptions,
     told: common.Told,
 ) -> None:
-    with common.progress_of(told.quiet) as progress:
+    with common.progress_of(told) as progress:
         outcome = run_batch(source, output, **vars(asked), progress=progress)
     summary = batches.summary_of(outcome)
     batches.write_batch(outcome, summary)
@@ -124,8 +125,8 @@ def population(
     told: common.OwnOutput,
 ) -> None:
     with (
-        common.workplace(output, population_report.POPULATION_FORMAT, told.overwrite) as place,
-        common.progress_of(told.quiet) as progress,
+        workplace(output, population_report.POPULATION_FORMAT, told.overwrite) as place,
+        common.progress_of(told) as progress,
     ):
         inputs = inputs_of([results / f"{name}.parquet" for name in TABLES])
         found = population_report.population(read_batch(results, setting.by, setting.same), setting)

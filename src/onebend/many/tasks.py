@@ -349,13 +349,8 @@ def _write_folder(item: Item, run: Run, settings: TaskSettings, files: tuple[Inp
     made_from = provenance(files, {}, {"fit": settings.fitting, "observing": settings.observing})
     summary: Mapping[str, Any] = {**summary_of(run), "record": hashed}
     write: Callable[[Path], None] = learned_writer(run, Pictures(), summary, made_from=made_from)
-    place = publishing.prepare(folder_path(item, settings.out), kind=LEARN_FORMAT, overwrite=True)
-    try:
+    with publishing.workplace(folder_path(item, settings.out), LEARN_FORMAT, overwrite=True) as place:
         publishing.publish(place, write, made_from)
-    except BaseException:
-        publishing.abandon(place)
-        raise
-    publishing.finish(place)
 
 
 # Tasks in processes of their own.

@@ -156,12 +156,7 @@ def loop_summary(model: str, control: Controller, known: Margins, trials: tuple[
         "delay_s": timing.delay,
         "rate_per_s": control.gains.rate,
         "corner_rad_per_s": control.gains.corner,
-        "margins": {
-            "gain": known.gain,
-            "phase_rad": known.phase,
-            "delay_s": known.delay,
-            "softest": known.softest,
-        },
+        "margins": margins_data(known),
         "trials": [
             {
                 "k_factor": trial.beam.factor,
@@ -173,6 +168,11 @@ def loop_summary(model: str, control: Controller, known: Margins, trials: tuple[
             for trial in trials
         ],
     }
+
+
+def margins_data(known: Margins) -> dict[str, float]:
+    """None is infinite in JSON."""
+    return {"gain": known.gain, "phase_rad": known.phase, "delay_s": known.delay, "softest": known.softest}
 
 
 def write_loop(folder: Path, trials: tuple[LoopTrial, ...]) -> None:

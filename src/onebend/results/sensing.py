@@ -73,20 +73,13 @@ def sense_summary(model: str, found: Sensed) -> dict[str, Any]:
 
 
 def _sensor(check: SensorCheck) -> dict[str, Any]:
-    return {
-        "gain": check.gain[0],
-        "gain_sd": check.gain[1],
-        "direction_deg": math.degrees(check.direction[0]),
-        "direction_sd_deg": math.degrees(check.direction[1]),
-        "delay_s": check.delay[0],
-        "delay_sd_s": check.delay[1],
-        "bias_N": check.bias[0],
-        "bias_sd_N": check.bias[1],
-        "drift_N_per_s": check.drift[0],
-        "drift_sd_N_per_s": check.drift[1],
-        "noise_N": check.noise,
-        "frames": check.frames,
-    }
+    said: dict[str, Any] = {}
+    units = {"gain": "", "direction": "_deg", "delay": "_s", "bias": "_N", "drift": "_N_per_s"}
+    for name, unit in units.items():
+        values = getattr(check, name)
+        values = map(math.degrees, values) if unit == "_deg" else values
+        said |= dict(zip((f"{name}{unit}", f"{name}_sd{unit}"), values, strict=True))
+    return said | {"noise_N": check.noise, "frames": check.frames}
 
 
 def force_columns(found: Sensed) -> dict[str, Array]:

@@ -19,17 +19,18 @@ from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.spatial import cKDTree
 
 from onebend.beam.model import Beam
-from onebend.beam.problem import Resolution
+from onebend.beam.problem import Resolution, has_mass
 from onebend.beam.setup import SetUp
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.control.loaded_beam import LoadedState, PushedBeam
+from onebend.control.loop_simulation import AXIS_PLACES
 from onebend.control.reach import Reach, ReachSettings, predicted_error
 from onebend.control.reach_set import DragAnswer, DraggedPoint, Edge, HeldEnd, ReachMap, reach_map
 from onebend.errors import ControlError, StudioError
 from onebend.records import Array, BoolArray
 from onebend.results.model import StoredModel, read_model
-from onebend.studio.jobs import asked_number
-from onebend.studio.places import hand_line, reach_line
+from onebend.studio.places import StudioFolder
+from onebend.studio.words import Asked, line, places_of, rounded
 
 # Slow work for a separate process: reachable set, edge of a hand, ellipse. Beams are sent as plain data and cached.
 
@@ -42,6 +43,30 @@ def bending_force(beam: Beam) -> float:
     """N across the tip that would turn it by about a radian if linear."""
     s = np.linspace(0.0, 1.0, 201)
     return 1.0 / (float(np.mean((1.0 - s) ** 2 / np.asarray(beam.stiffness(s)))) * beam.length)
+
+
+def beam_data(places: StudioFolder, asked: Asked) -> dict[str, Any]:
+    """The beam at rest, and an initial goal. Raises `ResultsError` for an unreadable model."""
+    name = asked.name()
+    stored = read_model(places.result(name))
+    beam = stored.beam
+    force = BEGIN_TURN * bending_force(beam)
+    return {
+        "name": name,
+        "length_m": beam.length,
+        "rest_m": np.round(beam.equilibrium((0.0, 0.0)).xy(AXIS_PLACES), 6),
+        "goal_m": np.round(beam.equilibrium((force, 2.0 * force)).xy(1.0), 4).tolist(),
+        "band": stored.uncertain is not None,
+        "mass": has_mass(beam),
+        "doubts": [] if stored.uncertain is None else list(stored.uncertain.doubts),
+    }
+
+
+def reach_asked(places: StudioFolder, asked: Asked) -> tuple[str, float, float, float]:
+    """Beam as JSON, two places, largest force [N]. Raises `StudioError` for an invalid request."""
+    beam = read_model(places.result(asked.name("model"))).beam
+    most = asked.number_if_any("max_force_N") or LARGEST_TIMES * bending_force(beam)
+    return json.dumps(beam.as_dict(), sort_keys=True), asked.number("push_s"), asked.number("point_s"), most
 
 
 @lru_cache(maxsize=4)
@@ -104,6 +129,7 @@ PLACES = np.linspace(0.0, 1.0, 61)  # of the drawn line
 Mode = Literal["point", "hand"]
 _SAME_SHARE, _SAME_FORCE = 1e-2, 1e-4  # relative, and N: accuracy of the shown command
 _SAME_PLACE = 1e-10  # m: accuracy of `onebend reach` on its own grid
+MOST_DIGITS = 12  # decimals of a goal in metres
 
 
 @dataclass
@@ -128,15 +154,6 @@ class Bending:
         self.max_force = self.max_force or self.largest_first
         self._renew(None)
 
-    @staticmethod
-    def of(model: str, folder: Path) -> Bending:
-        """From a results folder. Raises `ResultsError`, or `ControlError` if it cannot be bent."""
-        stored = read_model(folder)
-        force = bending_force(stored.beam)
-        one = Bending(model, stored, stored, "", float(f"{LARGEST_TIMES * force:.2g}"))
-        one.point.under((0.0, 0.5 * BEGIN_TURN * force))
-        return one
-
     @property
     def pushed(self) -> PushedBeam:
         return self.point.pushed
@@ -158,13 +175,13 @@ class Bending:
             "band": known is not None,
         }
 
-    def change(self, wanted: dict[str, Any]) -> None:
+    def change(self, wanted: Asked) -> None:
         """Changes places, bound or mode. Raises `StudioError` for invalid ones."""
         mode: Mode = "point" if wanted.get("rest") is True else wanted.get("mode", self.mode)
         if mode not in ("point", "hand"):
             raise StudioError("a beam is bent at a point or by a hand")
-        push_s, point_s = (asked_number(wanted, name, 1e-6, 1.0, getattr(self, name)) for name in ("push_s", "point_s"))
-        max_force = asked_number(wanted, "max_force_N", 1e-9, 1e6, self.max_force)
+        push_s, point_s = (wanted.number(name, (1e-6, 1.0, getattr(self, name))) for name in ("push_s", "point_s"))
+        max_force = wanted.number("max_force_N", (1e-9, 1e6, self.max_force))
         if mode == "hand":
             push_s = point_s = 1.0
         same = (push_s, point_s, max_force) == (self.push_s, self.point_s, self.max_force)
@@ -232,13 +249,15 @@ class Bending:
         if size == 0.0 and self.state.load[2] == 0.0:
             return ""
         if self.hand is not None:
-            return hand_line(self.model, pose)
+            goal, angle = [rounded(one, MOST_DIGITS) for one in pose[:2]], math.degrees(pose[2])
+            return line("reach", self.model, goal=goal, goal_angle_deg=rounded(angle, MOST_DIGITS - 2), moment=True)
         yields = float(np.linalg.svd(self.pushed.response(self.state)[:2, :2], compute_uv=False)[-1])
         finest = max(_SAME_SHARE * size, _SAME_FORCE) * yields  # m: allowed error of the goal
         if not finest >= _SAME_PLACE:
             return ""
         digits = max(math.ceil(-math.log10(0.1 * finest)), 6)
-        return reach_line(self.model, pose, digits, self.push_s, self.point_s, self.max_force)
+        goal, at = [rounded(one, digits) for one in pose[:2]], places_of(self.push_s, self.point_s)
+        return line("reach", self.model, goal=goal, **at, max_force_N=self.max_force)
 
     def _renew(self, state: LoadedState | None) -> None:
         self.hand, self.setup, self.stored = None, None, self.learned
@@ -265,6 +284,15 @@ class Bending:
 
     def _at(self, q: Array, s: float) -> Array:
         return np.array([np.interp(s, PLACES, row) for row in self._line(q).T])
+
+
+def bending_of(model: str, folder: Path) -> Bending:
+    """From a results folder. Raises `ResultsError`, or `ControlError` if it cannot be bent."""
+    stored = read_model(folder)
+    force = bending_force(stored.beam)
+    one = Bending(model, stored, stored, "", float(f"{LARGEST_TIMES * force:.2g}"))
+    one.point.under((0.0, 0.5 * BEGIN_TURN * force))
+    return one
 
 
 # The edge of the reachable set as it is drawn. Its triangles lie in sheets, one over the other and folded, so that the

@@ -20,12 +20,14 @@ import onebend
 from onebend.crash import kept, tell, words
 from onebend.errors import OnebendError, StudioError
 from onebend.progress import end_now, own_process
-from onebend.studio.filming import RecorderProcess
-from onebend.studio.jobs import Jobs
+from onebend.studio.filming import RecordingJobs
+from onebend.studio.jobs import DriveJobs, Jobs
 from onebend.studio.places import StudioFolder
+from onebend.studio.words import Asked
 from onebend.text_files import to_json
 
 if TYPE_CHECKING:
+    from onebend.control.reach_set import ReachMap
     from onebend.studio.bending import Bending
 
 
@@ -60,7 +62,7 @@ class Client:
 _MOST_BEAMS = 8
 _TURN = 5e-4  # s of the thread switch while mechanics load
 _RESTS = 0.3  # s without a drag before the exact ellipse
-_RELEASES = 60.0  # s for a robot to release the beam and come back
+WORKS: dict[str, type[Jobs]] = {"learn": Jobs, "check": Jobs, "loop": Jobs, "drive": DriveJobs, "record": RecordingJobs}
 
 
 class Desk:
@@ -69,11 +71,7 @@ class Desk:
     def __init__(self, places: StudioFolder) -> None:
         self.places = places
         self.clients: set[Client] = set()
-        self.jobs = Jobs("learner", self._job_changed)
-        rooms = {"check": "recordings", "loop": "looping"}
-        self.works = {room: Jobs(module, partial(self._work_changed, room)) for room, module in rooms.items()}
-        self.works["drive"] = Jobs("driving", partial(self._work_changed, "drive"), _RELEASES)
-        self.recorder = RecorderProcess(lambda message, passing: self.tell(message, passing=passing))
+        self.works = {room: kind(partial(self._changed, room)) for room, kind in WORKS.items()}
         self.beams: dict[str, Bending] = {}
         self.thread = ThreadPoolExecutor(1, "bend")  # beams are for one thread
         self.beside = own_process()
@@ -82,7 +80,6 @@ class Desk:
         self._tasks: set[asyncio.Task[None]] = set()
         self._busy: set[str] = set()  # models whose hand's edge is being computed
         self._moves: dict[str, int] = {}
-        self._last_state = ("", False)
 
     def begin(self) -> None:
         """Loads the mechanics while the page is already shown."""
@@ -94,12 +91,8 @@ class Desk:
         with contextlib.suppress(RuntimeError):  # ended meanwhile
             self.beside.submit(_load)
 
-    async def load(self, module: str) -> None:
-        """Loads a module after the mechanics; never two at once."""
-        await self._in_thread(lambda: import_module(module))
-
     async def end(self) -> None:
-        await asyncio.gather(*(one.stop() for one in (self.jobs, *self.works.values(), self.recorder)))
+        await asyncio.gather(*(one.end() for one in self.works.values()))
         for task in self._tasks:
             task.cancel()
         self.thread.shutdown(wait=False, cancel_futures=True)
@@ -111,7 +104,7 @@ class Desk:
         client = Client(socket)
         self.clients.add(client)
         writer = asyncio.create_task(self._watched(client.write(), self.tell))
-        about = {"folder": str(self.places.root), "job": self.jobs.shown(), "recording": self.recorder.shown()}
+        about = {"folder": str(self.places.root), **self.shown("job", "learn"), **self.shown("recording", "record")}
         client.put({"what": "hello", "you": client.number, **about})
         try:
             while (message := await socket.receive())["type"] == "websocket.receive":
@@ -147,14 +140,14 @@ class Desk:
     async def _open(self, client: Client, model: str) -> None:
         if model not in self.beams:
             folder = self.places.result(model)
-            bending = await self._in_thread(lambda: import_module("onebend.studio.bending").Bending.of(model, folder))
+            bending = await self._in_thread(partial(_bend, "bending_of", model, folder))
             while len(self.beams) >= _MOST_BEAMS:
                 self.forget(next(iter(self.beams)))
             self.beams.setdefault(model, bending)
             self._spawn(self._map(model))
         await self._show(model, lambda: None, (client,))
 
-    async def _set(self, model: str, settings: dict[str, Any]) -> None:
+    async def _set(self, model: str, settings: Asked) -> None:
         bending = self._beam(model)
         await self._show(model, partial(bending.change, settings), tuple(self.clients))
         if bending.point.map is None:
@@ -206,41 +199,35 @@ class Desk:
                 else:
                     self._spawn(self._edge(model))
 
-    async def _aside(self, work: Callable[..., Any], *arguments: Any) -> Any:
-        """Work in the second process, which is restarted if it died."""
+    async def _aside(self, work: str, *arguments: Any) -> Any:
+        """A function of `bending` in the second process, which is restarted if it died."""
         try:
-            return await asyncio.get_running_loop().run_in_executor(self.beside, work, *arguments)
+            return await asyncio.get_running_loop().run_in_executor(self.beside, _bend, work, *arguments)
         except BrokenExecutor:
             self.beside = own_process()
             raise StudioError("the process that makes maps ended. Try again") from None
 
     async def reach(self, beam: str, push_s: float, point_s: float, most: float) -> dict[str, Any]:
         """Outline reachable by forces up to `most` N, of a beam as JSON."""
-        from onebend.studio import bending  # here and below: loaded after the page's first picture
+        return await self._outline(await self._aside("make_map", beam, push_s, point_s, most))
 
-        return bending.outline_of(await self._aside(bending.make_map, beam, push_s, point_s, most))
+    async def _outline(self, found: ReachMap) -> dict[str, Any]:
+        outline: dict[str, Any] = await self._in_thread(partial(_bend, "outline_of", found))
+        return outline
 
     async def _map(self, model: str) -> None:
-        from onebend.studio import bending as mapping
-
         bending, version = self.beams[model], self.beams[model].version
-        work = (mapping.make_map, bending.beam, bending.push_s, bending.point_s, bending.max_force)
-        found = await self._aside(*work)
+        found = await self._aside("make_map", bending.beam, bending.push_s, bending.point_s, bending.max_force)
         if await self._in_thread(lambda: bending.take_map(version, found)):
             await self._show_map(model, bending, tuple(self.clients))
 
     async def _show_map(self, model: str, bending: Bending, clients: tuple[Client, ...]) -> None:
-        from onebend.studio.bending import outline_of
-
-        found = bending.point.map
-        if found is not None:
-            shown = await self._in_thread(lambda: outline_of(found))
+        if bending.point.map is not None:
+            shown = await self._outline(bending.point.map)
             for client in clients:
                 client.put({"what": "map", "model": model, "version": bending.version, "map": shown})
 
     async def _edge(self, model: str) -> None:
-        from onebend.studio import bending as mapping
-
         if model in self._busy:
             return
         self._busy.add(model)
@@ -250,7 +237,7 @@ class Desk:
                 done, state, hand = self._moves.get(model, 0), bending.state, bending.hand
                 if hand is None:
                     return
-                edge = await self._aside(mapping.hand_edge, bending.beam, state.q, state.load, bending.max_force)
+                edge = await self._aside("hand_edge", bending.beam, state.q, state.load, bending.max_force)
                 if bending.hand is hand:  # it may have let go meanwhile
                     self.tell({"what": "edge", "model": model, "edge": edge})
         finally:
@@ -261,12 +248,10 @@ class Desk:
         bending = self.beams.get(model)
         if bending is None or bending.stored.uncertain is None or self._moves.get(model) != moves:
             return
-        from onebend.studio import bending as mapping
-
         known, state = bending.stored.uncertain.as_dict(), bending.state
-        work = (mapping.full_ellipse, bending.beam, known, bending.push_s, bending.point_s, state.q, state.load)
+        at = bending.push_s, bending.point_s, state.q, state.load
         with contextlib.suppress(OnebendError):
-            found = await self._aside(*work)
+            found = await self._aside("full_ellipse", bending.beam, known, *at)
             if found is not None and self._moves.get(model) == moves:
                 self.tell({"what": "ellipse", "model": model, "ellipse": found})
 
@@ -275,22 +260,19 @@ class Desk:
         for client in tuple(self.clients):
             client.put(message, passing=passing)
 
-    def _work_changed(self, room: str) -> None:
-        job = self.works[room].shown()
-        self.tell({"what": "work", "room": room, "job": job})
-        if room == "drive" and job is not None and job["state"] not in ("running", "stopping"):
-            self.tell({"what": "places"})  # a new recording
+    def shown(self, name: str, room: str) -> dict[str, Any]:
+        """The work of a room, under this name."""
+        return {name: self.works[room].shown()}
 
-    def _job_changed(self) -> None:
-        shown = self.jobs.shown()
-        self.tell({"what": "job", "job": shown})
-        if shown is None:
-            return
-        state = (str(shown["state"]), bool(shown["published"]))
-        if state != self._last_state and (shown["published"] or state[0] not in ("running", "stopping")):
-            self.forget(shown["out"])
+    def _changed(self, room: str, made: bool) -> None:
+        job = self.works[room].job
+        assert job is not None
+        what = {"learn": "job", "record": "recording"}.get(room, "work")
+        named = {"what": what, "room": room, **self.shown("job" if what == "work" else what, room)}
+        self.tell(named, passing=job.passing)
+        if made and "out" in job.wanted:
+            self.forget(job.wanted["out"])
             self.tell({"what": "places"})
-        self._last_state = state
 
     def _spawn(self, work: Awaitable[None]) -> None:
         task = asyncio.get_running_loop().create_task(self._watched(work, self.tell))
@@ -307,7 +289,7 @@ def request_of(text: str) -> dict[str, Any] | None:
             "model": str(message["model"]),
             "n": int(message.get("n", 0)),
             "goal": [float(one) for one in message.get("goal", ())[:3]],
-            "settings": dict(message.get("settings", {})),
+            "settings": Asked(message.get("settings", {})),
         }
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         return None
@@ -320,6 +302,11 @@ def said_of(error: Exception) -> str:
     text = f"{words(error)} {kept(error, onebend.__version__)}"
     tell(text)
     return text
+
+
+def _bend(function: str, *arguments: Any) -> Any:
+    """By a function of `bending`, which is loaded after the page's first picture."""
+    return getattr(import_module("onebend.studio.bending"), function)(*arguments)
 
 
 def _load() -> None:

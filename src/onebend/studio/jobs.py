@@ -1,4 +1,4 @@
-"""Long work in a separate process that can be stopped, and its progress: both ends."""
+"""Long work in a separate process (`onebend.studio.worker`) that can be stopped, and its progress."""
 
 from __future__ import annotations
 
@@ -6,21 +6,16 @@ import asyncio
 import contextlib
 import json
 import os
-import shlex
 import signal
 import sys
-import threading
 import time
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
-from typing import Any, TextIO
+from typing import Any
 
-from onebend.errors import OnebendError, StudioError
-from onebend.text_files import to_json
+from onebend.errors import StudioError
 
-_PATIENCE = 8.0  # s to end after an interrupt
 _LONGEST_LINE = 2**22  # bytes
-_OFTEN = 0.1  # s between lines of one stage
 
 
 @dataclass
@@ -34,6 +29,7 @@ class Job:
     found: list[dict[str, Any]] = field(default_factory=list)  # results so far
     now: dict[str, Any] | None = None  # what is known now, of work that goes with the clock
     ended: float | None = None
+    passing = False  # what was heard last is soon replaced
 
     @property
     def goes_on(self) -> bool:
@@ -45,17 +41,9 @@ class Job:
         return f"another runs: {self.wanted['command']}. Stop it, or wait"
 
     def shown(self) -> dict[str, Any]:
-        return {
-            **{name: value for name, value in self.wanted.items() if name != "folder"},
-            "began": self.began,
-            "seconds": (self.ended or time.time()) - self.began,
-            "stages": self.stages,
-            "state": self.state,
-            "error": self.error,
-            "published": self.published,
-            "found": len(self.found),
-            "now": self.now,
-        }
+        asked = {name: value for name, value in self.wanted.items() if name != "folder"}
+        known = {name: getattr(self, name) for name in ("began", "stages", "state", "error", "published", "now")}
+        return {**asked, **known, "seconds": (self.ended or time.time()) - self.began, "found": len(self.found)}
 
     def hear(self, said: dict[str, Any]) -> None:
         if "stage" in said:
@@ -64,14 +52,10 @@ class Job:
                 self.stages[-1] = row
             else:
                 self.stages.append(row)
-        elif said.get("published") is True:
-            self.published = True
         elif "found" in said:
             self.found.append(said["found"])
-        elif "now" in said:
-            self.now = said["now"]
-        elif "error" in said:
-            self.error = str(said["error"])
+        for name in {"published", "now", "error"} & set(said):
+            setattr(self, name, said[name])
 
     def end(self, code: int) -> None:
         """The process ended."""
@@ -88,10 +72,12 @@ class Jobs:
     """Work of one kind, one at a time."""
 
     kind: type[Job] = Job
+    patience = 8.0  # s to end after an interrupt
+    words: tuple[str, ...] = ()  # that may be said to it
 
-    def __init__(self, module: str, changed: Callable[[], None], patience: float = _PATIENCE) -> None:
-        """`module`: of this folder, run as a process, which has so much `patience` [s] to end after an interrupt."""
-        self.module, self.changed, self._patience = module, changed, patience
+    def __init__(self, changed: Callable[[bool], None]) -> None:
+        """`changed`: told of every change, and whether there is something new in the folder."""
+        self.changed = changed
         self.job: Job | None = None
         self._process: asyncio.subprocess.Process | None = None
         self._task: asyncio.Task[None] | None = None
@@ -105,10 +91,19 @@ class Jobs:
         if self.job is not None and self.job.goes_on:
             raise StudioError(self.job.busy)
         self.job = self.kind(wanted)
-        self._process = await begun(self.module)
+        self._process = await begun()
         self.say(json.dumps(wanted))
         self._task = asyncio.create_task(self._follow(self.job, self._process))
-        self.changed()
+        self.changed(False)
+
+    async def do(self, what: str) -> None:
+        """What a person asks for meanwhile: to stop, or one of the `words`. Raises `StudioError` for another."""
+        if what == "stop":
+            await self.stop()
+        elif what in self.words:
+            self.say(what)
+        else:
+            raise StudioError(f"work is started and stopped; there is no {what[:100]!r}")
 
     def say(self, line: str) -> None:
         """To the process, if it is there."""
@@ -122,26 +117,38 @@ class Jobs:
         if job is None or process is None or process.returncode is not None:
             return
         job.state = "stopping"
-        self.changed()
+        self.changed(False)
         with contextlib.suppress(ProcessLookupError):
             process.send_signal(signal.SIGINT)
-        await ended(process, self._patience)
+        await ended(process, self.patience)
         if self._task is not None:
             await self._task
 
+    async def end(self) -> None:
+        """The studio ends."""
+        await self.stop()
+
     async def _follow(self, job: Job, process: asyncio.subprocess.Process) -> None:
         async for said in lines_of(process):
+            before = job.published
             job.hear(said)
-            self.changed()
+            self.changed(job.published and not before)
         job.end(await process.wait())
-        self.changed()
+        self.changed(True)
 
 
-async def begun(module: str) -> asyncio.subprocess.Process:
-    """A module of this folder as a process that communicates by lines."""
+class DriveJobs(Jobs):
+    """A plan, and the drive when `go` is said."""
+
+    patience = 60.0  # s for a robot to release the beam and come back
+    words = ("go",)
+
+
+async def begun() -> asyncio.subprocess.Process:
+    """A process that communicates by lines."""
     return await asyncio.create_subprocess_exec(
         sys.executable,
-        *("-m", f"onebend.studio.{module}"),
+        *("-m", "onebend.studio.worker"),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.DEVNULL,
@@ -166,74 +173,3 @@ async def ended(process: asyncio.subprocess.Process, patience: float) -> None:
     except TimeoutError:
         with contextlib.suppress(ProcessLookupError):
             process.kill()
-
-
-def asked_number(asked: Mapping[str, Any], key: str, least: float, most: float, usual: float) -> float:
-    """A number of the request, default `usual`. Raises `StudioError` if out of range."""
-    found = asked.get(key, usual)
-    if isinstance(found, bool) or not isinstance(found, int | float) or not least <= found <= most:
-        raise StudioError(f"{key}: a number from {least:g} to {most:g}")
-    return float(found)
-
-
-class Lines:
-    """A `Progress` that writes JSON lines."""
-
-    def __init__(self) -> None:
-        self._stack: list[list[Any]] = []  # stage, done, total
-        self._said = 0.0
-
-    def start(self, stage: str, total: int | None) -> None:
-        self._stack.append([stage, 0, total])
-        self._say()
-
-    def advance(self, count: int = 1) -> None:
-        self._stack[-1][1] += count
-        if time.monotonic() - self._said > _OFTEN:
-            self._say()
-
-    def done(self) -> None:
-        self._say()
-        self._stack.pop()
-
-    def _say(self) -> None:
-        self._said = time.monotonic()
-        stage, done, total = self._stack[-1]
-        tell({"stage": stage, "done": done, "total": total})
-
-
-def tell(data: Mapping[str, Any], out: TextIO | None = None) -> None:
-    """A line on standard output or `out`; the reader may be gone."""
-    stream = out or sys.stdout
-    with contextlib.suppress(OSError, ValueError):
-        stream.write(to_json(data, ascii_only=True, readable=False) + "\n")
-        stream.flush()
-
-
-def process(work: Callable[[Mapping[str, Any]], None], *, alone: bool = True) -> int:
-    """Main function of a `Jobs` process: `work` on the JSON object on standard input, in the folder that it names. With
-    `alone` it outlives the studio.
-
-    Returns 0: done; 2: failed; 130: interrupted.
-    """
-    wanted = json.loads(sys.stdin.readline())
-    if not alone:
-        threading.Thread(target=_end_after, args=(os.getppid(),), daemon=True).start()
-    os.chdir(wanted["folder"])
-    sys.argv = shlex.split(wanted["command"])  # for provenance
-    try:
-        work(wanted)
-    except OnebendError as error:
-        tell({"error": str(error)})
-        return 2
-    except KeyboardInterrupt:
-        tell({"error": "Stopped."})
-        return 130
-    tell({"finished": True})
-    return 0
-
-
-def _end_after(parent: int) -> None:
-    while os.getppid() == parent:
-        time.sleep(1.0)
-    os._exit(0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,8 @@ from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import StudioError
 from onebend.files.publish import LARGEST, SUMMARY, read_object
 from onebend.results.model import StoredModel, read_model
+from onebend.studio.places import StudioFolder
+from onebend.studio.words import Asked, object_of, objects_of
 
 REPORT = "report.html"
 _LARGEST_REPORT = 32 * 2**20  # bytes
@@ -21,23 +22,23 @@ _S = np.linspace(0.0, 1.0, 101)
 _LEVELS = (0.95, 0.8, 0.5)
 
 
-def result_data(name: str, folder: Path) -> dict[str, Any]:
+def result_data(places: StudioFolder, asked: Asked) -> dict[str, Any]:
     """Verdict, k(s) with bands, errors and remarks. Raises `ResultsError` for an unreadable model."""
+    name = asked.name()
+    folder = places.result(name)
     stored = read_model(folder)
     summary = read_object(folder / SUMMARY, LARGEST) or {}
-    fit, origin = _object(summary.get("fit")), _object(summary.get("provenance"))
+    fit, origin = object_of(summary.get("fit")), object_of(summary.get("provenance"))
     return {
         "name": name,
         "changed": [words for words in (stored.changed, stored.swapped) if words],
         "length_m": stored.beam.length,
         "curve": curve(stored),
         "verdict": summary.get("verdict"),
-        "recordings": summary.get("recordings", []),
-        "training": summary.get("training", []),
-        "validation": summary.get("validation", []),
+        **{key: summary.get(key, []) for key in ("recordings", "training", "validation")},
         "fitted_rms_m": fit.get("fitted_rms_m"),
-        "allowances": [one for one in _objects(fit.get("allowances")) if one.get("matters")],
-        "remarks": [one for one in _objects(summary.get("remarks")) if one.get("level") == "warning"],
+        "allowances": [one for one in objects_of(fit.get("allowances")) if one.get("matters")],
+        "remarks": [one for one in objects_of(summary.get("remarks")) if one.get("level") == "warning"],
         "command": origin.get("command"),
         "written": origin.get("written"),
         "report": (folder / REPORT).is_file(),
@@ -61,9 +62,10 @@ def known_curve(known: UncertainStiffness) -> dict[str, Any]:
     return found
 
 
-def film_data(folder: Path) -> dict[str, Any] | None:
+def film_data(places: StudioFolder, asked: Asked) -> dict[str, Any] | None:
     """The report's frames with the fitted beam in pixels; None without a film. Raises `StudioError` without a report of
     onebend."""
+    folder = places.result(asked.name())
     path = folder / REPORT
     try:
         if path.is_symlink():  # which may lead anywhere
@@ -83,13 +85,4 @@ def film_data(folder: Path) -> dict[str, Any] | None:
         raise StudioError(f"{path.name} was changed. Learn again") from error
     if not isinstance(film, dict):
         return None
-    return film | {"tag_id": _object(data.get("curve")).get("tag_id", [])}
-
-
-def _object(value: Any) -> dict[str, Any]:
-    """The value if it is an object, else an empty one."""
-    return value if isinstance(value, dict) else {}
-
-
-def _objects(value: Any) -> list[dict[str, Any]]:
-    return [one for one in value if isinstance(one, dict)] if isinstance(value, list) else []
+    return film | {"tag_id": object_of(data.get("curve")).get("tag_id", [])}

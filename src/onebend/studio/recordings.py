@@ -1,7 +1,6 @@
-"""Recordings: `recording.toml` checked while typed and saved whole, the first frame, and `check`.
+"""Recordings: `recording.toml` checked while typed and saved whole, the first frame, and a check's picture.
 
-Mistakes come from `recording.folder.check_text`, findings from `report.overview`. As a process
-(`python -m onebend.studio.recordings`) it does what `onebend check` does.
+Mistakes come from `recording.folder.check_text`.
 """
 
 from __future__ import annotations
@@ -9,9 +8,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import io
-import sys
 import threading
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -19,6 +16,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from onebend.cli.common import AnswerOptions
 from onebend.errors import RecordingError, ResultsError, StudioError
 from onebend.files.single_file import check_replaceable, write_file
 from onebend.recording.entries import FAMILIES, VideoEntry
@@ -27,8 +25,9 @@ from onebend.recording.tag_finder import Finder
 from onebend.recording.template import write_template
 from onebend.recording.video import pictures_at
 from onebend.report.overview import SOFTWARE, overview
-from onebend.studio.jobs import process, tell
-from onebend.studio.places import RECORDING, StudioFolder, check_line
+from onebend.studio.places import RECORDING, StudioFolder
+from onebend.studio.words import Asked, check_line, object_of, objects_of
+from onebend.studio.worker import Studio, end
 from onebend.text_files import MOST_TOML
 
 PICTURE = "check.png"
@@ -39,44 +38,26 @@ MOST_SHOWN = 200  # mistakes
 _saving = threading.Lock()  # for tabs of this studio
 
 
-def answer(places: StudioFolder, what: str, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """Raises an `OnebendError`."""
-    name = str(asked.get("name", ""))
-    try:
-        if what == "read":
-            return read(places, name)
-        if what == "check":
-            return checked(places.recording(name), _text(asked))
-        if what == "save":
-            return save(places.recording(name), _text(asked), str(asked.get("version", "")))
-        if what == "new":
-            return begun(places, name)
-        if what == "frame":
-            return first_frame(places, name, *(str(asked.get(key, "")) for key in ("file", "topic", "family")))
-    except OSError as error:
-        raise StudioError(f"{error.filename or name}: {error.strerror or error}") from error
-    raise StudioError(f"a recording is read, checked, saved and begun; there is no {what[:100]!r}")
-
-
-def _text(asked: Mapping[str, Any]) -> str:
+def _text(asked: Asked) -> str:
     text = asked.get("text")
     if not isinstance(text, str) or len(text) > MOST_TOML:
         raise StudioError(f"the text of {RECORDING} has at most {MOST_TOML} characters")
     return text
 
 
-def read(places: StudioFolder, name: str) -> dict[str, Any]:
+def read(places: StudioFolder, asked: Asked) -> dict[str, Any]:
     """Text, version and check. Raises `StudioError` if it is no text, or too long."""
+    name = asked.name()
     folder = places.recording(name)
     data = (folder / RECORDING).read_bytes()[: MOST_TOML + 1]
     text = as_text(data)
-    return {
-        "name": name,
-        "text": text,
-        "version": version_of(data),
-        "command": check_line(name),
-        **checked(folder, text),
-    }
+    about = {"name": name, "text": text, "version": version_of(data), "command": check_line(name)}
+    return about | checked(folder, text)
+
+
+def check(places: StudioFolder, asked: Asked) -> dict[str, Any]:
+    """Of a text that is not saved."""
+    return checked(places.recording(asked.name()), _text(asked))
 
 
 def as_text(data: bytes) -> str:
@@ -108,14 +89,15 @@ def version_of(data: bytes) -> str:
 def checked(folder: Path, text: str) -> dict[str, Any]:
     """Mistakes line by line, tags and film."""
     found = check_text(folder, text)
-    tags, video = _table(found.data, "tags"), _table(found.data, "video")
+    tags, video = (object_of(found.data.get(name)) for name in ("tags", "video"))
     return {
         "mistakes": [{"line": line, "text": words} for line, words in found.mistakes[:MOST_SHOWN]],
         "remarks": [one.as_dict() for one in found.remarks],
         "tags": [
             {"id": one["id"], "base": group == "on_base", "s": one.get("s")}
             for group in ("on_base", "on_beam")
-            for one in _rows(tags.get(group))
+            for one in objects_of(tags.get(group))
+            if isinstance(one.get("id"), int)
         ],
         "family": tags.get("family", FAMILIES[0]),
         "file": video.get("file", ""),
@@ -123,41 +105,32 @@ def checked(folder: Path, text: str) -> dict[str, Any]:
     }
 
 
-def _table(data: Mapping[str, Any], name: str) -> dict[str, Any]:
-    found = data.get(name, {})
-    return found if isinstance(found, dict) else {}
-
-
-def _rows(found: Any) -> list[dict[str, Any]]:
-    rows = found if isinstance(found, list) else []
-    return [one for one in rows if isinstance(one, dict) and isinstance(one.get("id"), int)]
-
-
-def save(folder: Path, text: str, version: str) -> dict[str, Any]:
+def save(places: StudioFolder, asked: Asked) -> dict[str, Any]:
     """Replaces the file if it has this version. Returns the new "version", or "conflict" with the file's "text" and
     "version"."""
-    path = folder / RECORDING
+    path, text = places.recording(asked.name()) / RECORDING, _text(asked)
     with _saving:
         before = path.read_bytes()
         data = as_bytes(text, before)
-        if version_of(before) == version:
+        if version_of(before) == asked.name("version"):
             write_file(path, data, overwrite=True)
             return {"version": version_of(data)}
     return {"conflict": True, "text": as_text(before[: MOST_TOML + 1]), "version": version_of(before)}
 
 
-def begun(places: StudioFolder, name: str) -> dict[str, Any]:
+def new(places: StudioFolder, asked: Asked) -> dict[str, Any]:
     """A new file from the template."""
-    folder = places.path(name)
+    folder = places.path(asked.name())
     if not folder.is_dir():
-        raise StudioError(f"there is no folder {name}")
+        raise StudioError(f"there is no folder {asked.name()}")
     write_template(folder, everything=True)
-    return {"name": name}
+    return {"name": asked.name()}
 
 
-def first_frame(places: StudioFolder, name: str, file: str, topic: str, family: str) -> dict[str, Any]:
+def frame(places: StudioFolder, asked: Asked) -> dict[str, Any]:
     """The first frame, and its tags in pixels. Raises `StudioError` for a film outside the studio's folder,
     `RecordingError` if it has no frame."""
+    name, file, topic, family = (asked.name(key) for key in ("name", "file", "topic", "family"))
     path = places.beside(name, file)
     if family not in FAMILIES:
         raise StudioError(f"{family[:100]!r} is no family of tags")
@@ -192,8 +165,9 @@ def jpeg_in(picture: Image.Image, widest: int, quality: int) -> str:
     return base64.b64encode(memory.getvalue()).decode("ascii")
 
 
-def check_picture_of(places: StudioFolder, name: str) -> bytes:
+def check_picture_of(places: StudioFolder, asked: Asked) -> bytes:
     """Raises `StudioError` if there is none."""
+    name = asked.name()
     places.recording(name)
     path = places.path(f"{name}/{PICTURE}")
     try:
@@ -207,32 +181,21 @@ def check_picture_of(places: StudioFolder, name: str) -> bytes:
     return data
 
 
-def wanted_work(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """Raises `StudioError` for an unknown recording."""
-    name = str(asked.get("name", ""))
-    places.recording(name)
-    return {"folder": str(places.root), "name": name, "command": check_line(name)}
-
-
-def work(wanted: Mapping[str, Any]) -> None:
-    """Checks a recording and draws `check.png`."""
-    folder = Path(wanted["name"])
-    tell({"stage": "reading the files, looking for tags", "done": 0, "total": None})
-    found = overview(folder)
-    said = {"name": wanted["name"], **found.as_dict(), "faults": list(found.faults), "picture": False, "unwritten": ""}
-    tell({"stage": "drawing the picture", "done": 0, "total": None})
+def work(studio: Studio, *, recording: Path, output: Path, told: AnswerOptions) -> None:
+    """As `onebend check`, and tells where the picture could not be kept."""
+    studio.obeyed(end)
+    studio.start("reading the files, looking for tags")
+    found = overview(recording)
+    said = {"name": recording.as_posix(), **found.as_dict(), "faults": found.faults, "picture": False, "unwritten": ""}
+    studio.start("drawing the picture")
     from onebend.report.figures import check_png  # here: loads Matplotlib
 
     drawn = check_png(found)
     try:
         if drawn is not None:
-            check_replaceable(folder / PICTURE, SOFTWARE, overwrite=False)
-            write_file(folder / PICTURE, drawn, overwrite=True)
+            check_replaceable(output, SOFTWARE, overwrite=told.overwrite)
+            write_file(output, drawn, overwrite=True)
             said["picture"] = True
     except ResultsError as error:
         said["unwritten"] = str(error)
-    tell({"found": said})
-
-
-if __name__ == "__main__":
-    sys.exit(process(work, alone=False))
+    studio.found(said)

@@ -8,7 +8,7 @@ import logging
 import secrets
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -23,23 +23,23 @@ from starlette.routing import Route, WebSocketRoute
 from onebend.crash import tell
 from onebend.errors import OnebendError, StudioError
 from onebend.studio.desk import Desk, said_of
-from onebend.studio.filming import asked_text, sources_data, wanted_recording
+from onebend.studio.filming import RecordingJobs
+from onebend.studio.guard import MOST_STRANGERS, Guard
 from onebend.studio.jobs import Jobs
-from onebend.studio.places import MOST_STRANGERS, Guard, StudioFolder, learn_line, plain_word
+from onebend.studio.places import StudioFolder
+from onebend.studio.words import Asked
 from onebend.text_files import to_json
 
 PAGE = Path(__file__).parent / "page"
 HOST = "127.0.0.1"
 LONGEST_MESSAGE, LARGEST_BODY = 64 * 1024, 256 * 1024  # bytes
 FAULT = "Exception in ASGI application"  # as uvicorn logs an error that no handler has caught
-_MOST_RECORDINGS = 50
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 
 
 def application(places: StudioFolder, token: str, port: int) -> Guard:
     """The studio as an ASGI application for this token and port."""
     desk = Desk(places)
-    asked = Asked(desk)
 
     @contextlib.asynccontextmanager
     async def life(_app: Starlette) -> AsyncIterator[None]:
@@ -48,22 +48,8 @@ def application(places: StudioFolder, token: str, port: int) -> Guard:
         await desk.end()
 
     routes = [
-        Route("/api/places", clean(asked.places)),
-        Route("/api/result", clean(asked.result)),
-        Route("/api/film", clean(asked.film)),
-        Route("/api/job", clean(asked.job)),
-        Route("/api/recordings/{what:str}", clean(asked.recordings), methods=["POST"]),
-        Route("/api/check.png", clean(asked.check_picture)),
-        Route("/api/beam", clean(asked.beam)),
-        Route("/api/reach", clean(asked.reach), methods=["POST"]),
-        Route("/api/work/{room:str}", clean(asked.work)),
-        Route("/api/work/{room:str}/{what:str}", clean(asked.begin_work), methods=["POST"]),
-        Route("/api/record", clean(asked.recording)),
-        Route("/api/record/sources", clean(asked.sources)),
-        Route("/api/record/picture", clean(asked.picture)),
-        Route("/api/record/{what:str}", clean(asked.record), methods=["POST"]),
-        Route("/api/learn", clean(asked.learn), methods=["POST"]),
-        Route("/api/stop", clean(asked.stop), methods=["POST"]),
+        *(Route(f"/api/{path}", answered(partial(work, desk)), methods=["GET"]) for path, work in GETS.items()),
+        *(Route(f"/api/{path}", answered(partial(work, desk)), methods=["POST"]) for path, work in POSTS.items()),
         WebSocketRoute("/socket", desk.serve),
         Route("/{name:path}", _page_file),
     ]
@@ -83,142 +69,127 @@ async def _page_file(request: Request) -> Response:
     return Response(found[0], media_type=found[1])
 
 
-class Asked:
-    """Handlers of HTTP requests."""
+# Answers to requests: functions of the desk, and of what is asked by the address or the body.
 
-    def __init__(self, desk: Desk) -> None:
-        self.desk = desk
-
-    async def places(self, _request: Request) -> Response:
-        found = await run_in_threadpool(self.desk.places.found)
-        rows = [{"name": one.name, "kind": one.kind, "changed": one.changed, **one.about} for one in found]
-        return _said({"folder": str(self.desk.places.root), "found": rows})
-
-    async def result(self, request: Request) -> Response:
-        name = _name(request)
-        return _said(await _of_room("learned", "result_data", name, self.desk.places.result(name)))
-
-    async def film(self, request: Request) -> Response:
-        return _said(await _of_room("learned", "film_data", self.desk.places.result(_name(request))))
-
-    async def job(self, _request: Request) -> Response:
-        return _said({"job": self.desk.jobs.shown()})
-
-    async def recordings(self, request: Request) -> Response:
-        what, asked = request.path_params["what"], await _posted(request)
-        found = await _of_room("recordings", "answer", self.desk.places, what, asked)
-        if what == "new":
-            self.desk.tell({"what": "places"})
-        if what == "save" and "conflict" not in found:
-            self.desk.tell({"what": "saved", "name": asked["name"], "version": found["version"]})
-        return _said(found)
-
-    async def check_picture(self, request: Request) -> Response:
-        picture = await _of_room("recordings", "check_picture_of", self.desk.places, _name(request))
-        return Response(picture, media_type="image/png")
-
-    async def beam(self, request: Request) -> Response:
-        name = _name(request)
-        return _said(await _of_room("looping", "beam_data", name, self.desk.places.result(name)))
-
-    async def reach(self, request: Request) -> Response:
-        asked = await _posted(request)
-        wanted = await _of_room("looping", "reach_asked", self.desk.places, asked)
-        return _said(await self.desk.reach(*wanted))
-
-    async def work(self, request: Request) -> Response:
-        work = self._work(request)
-        return _said({"job": work.shown(), "found": [] if work.job is None else work.job.found})
-
-    async def begin_work(self, request: Request) -> Response:
-        work, what, asked = self._work(request), request.path_params["what"], await _posted(request)
-        if what == "stop":
-            await work.stop()
-        elif what == "start":
-            await work.start(await _of_room(work.module, "wanted_work", self.desk.places, asked))
-        elif what == "go":
-            work.say(what)
-        else:
-            raise StudioError(f"work is started and stopped; there is no {what[:100]!r}")
-        return _said({})
-
-    def _work(self, request: Request) -> Jobs:
-        room = request.path_params["room"]
-        if room not in self.desk.works:
-            raise StudioError(f"there is no work of the kind {room[:100]!r}")
-        return self.desk.works[room]
-
-    async def recording(self, _request: Request) -> Response:
-        return _said({"recording": self.desk.recorder.shown()})
-
-    async def sources(self, _request: Request) -> Response:
-        await self.desk.load("onebend.live.specs")
-        return _said(await run_in_threadpool(sources_data, self.desk.places))
-
-    async def picture(self, request: Request) -> Response:
-        number = request.query_params.get("n", "")
-        picture = self.desk.recorder.picture(int(number) if number.isdecimal() and len(number) < 16 else 0)
-        return Response(picture, media_type="image/jpeg")
-
-    async def record(self, request: Request) -> Response:
-        what, recorder = request.path_params["what"], self.desk.recorder
-        if what == "start":
-            asked = await _posted(request)
-            await self.desk.load("onebend.recording.folder")
-            wanted = await run_in_threadpool(wanted_recording, self.desk.places, asked)
-            await recorder.start(wanted)
-            return _said({"out": wanted["out"]})
-        if what not in ("begin", "stop"):
-            raise StudioError(f"a recording is started, begun and stopped; there is no {what[:100]}")
-        (recorder.begin if what == "begin" else recorder.end_film)()
-        return _said({})
-
-    async def learn(self, request: Request) -> Response:
-        asked = await _posted(request)
-        recordings, validate = _names(asked, "recordings"), _names(asked, "validate")
-        if not recordings:
-            raise StudioError("choose a recording to learn from")
-        for one in (*recordings, *validate):
-            self.desk.places.recording(one)
-        out = asked_text(asked, "out") or f"{Path(recordings[0]).name}-results"
-        if self.desk.places.path(out) == self.desk.places.root:
-            raise StudioError("results go to a folder of their own")
-        replace = asked.get("replace") is True
-        wanted = {"recordings": recordings, "validate": validate, "out": out, "replace": replace}
-        command = learn_line(recordings, validate, plain_word(out), replace)
-        await self.desk.jobs.start({**wanted, "folder": str(self.desk.places.root), "command": command})
-        return _said({"out": out})
-
-    async def stop(self, _request: Request) -> Response:
-        await self.desk.jobs.stop()
-        return _said({})
+Data = dict[str, Any]
+Work = Callable[[Desk, Asked], Awaitable[Any]]
 
 
-def clean(work: Callable[[Request], Awaitable[Response]]) -> Callable[[Request], Awaitable[Response]]:
-    """`work` with errors in one sentence."""
+async def _of_room(function: str, desk: Desk, asked: Asked) -> Any:
+    """By a function of the folder and the request, loaded on first use, in a thread."""
+    room, name = function.split(":")
+    module = f"onebend.studio.{room}"
+    return await run_in_threadpool(lambda: getattr(import_module(module), name)(desk.places, asked))
+
+
+def of_room(function: str) -> Work:
+    return partial(_of_room, function)
+
+
+async def check_picture(desk: Desk, asked: Asked) -> Response:
+    return Response(await _of_room("recordings:check_picture_of", desk, asked), media_type="image/png")
+
+
+async def recordings(desk: Desk, asked: Asked) -> Data:
+    what = asked["what"]
+    if what not in ("read", "check", "save", "new", "frame"):
+        raise StudioError(f"a recording is read, checked, saved and begun; there is no {what[:100]!r}")
+    found: Data = await _of_room(f"recordings:{what}", desk, asked)
+    if what == "new":
+        desk.tell({"what": "places"})
+    if what == "save" and "conflict" not in found:
+        desk.tell({"what": "saved", "name": asked["name"], "version": found["version"]})
+    return found
+
+
+async def reach(desk: Desk, asked: Asked) -> Data:
+    return await desk.reach(*await _of_room("bending:reach_asked", desk, asked))
+
+
+async def work(desk: Desk, asked: Asked) -> Data:
+    job = _work(desk, asked).job
+    return {"job": job and job.shown(), "found": [] if job is None else job.found}
+
+
+async def do_work(desk: Desk, asked: Asked) -> Data:
+    jobs, room, what = _work(desk, asked), asked["room"], asked["what"]
+    if what != "start":
+        await jobs.do(what)
+        return {}
+    wanted = await _of_room(f"requests:{room}", desk, asked)
+    await jobs.start({**wanted, "folder": str(desk.places.root)})
+    return {"out": wanted["out"]} if "out" in wanted else {}
+
+
+def _work(desk: Desk, asked: Asked) -> Jobs:
+    if asked["room"] not in desk.works:
+        raise StudioError(f"there is no work of the kind {asked['room'][:100]!r}")
+    return desk.works[asked["room"]]
+
+
+def done(**known: str) -> Work:
+    """`do_work` of what is known of the room and the work."""
+    return lambda desk, asked: do_work(desk, Asked(asked | known))
+
+
+def shown(name: str, room: str) -> Work:
+    """The work of a room, under this name."""
+
+    async def found(desk: Desk, _asked: Asked) -> Data:
+        return desk.shown(name, room)
+
+    return found
+
+
+async def picture(desk: Desk, asked: Asked) -> Response:
+    number, filming = asked.get("n", ""), desk.works["record"]
+    assert isinstance(filming, RecordingJobs)
+    found = filming.picture(int(number) if number.isdecimal() and len(number) < 16 else 0)
+    return Response(found, media_type="image/jpeg")
+
+
+GETS: dict[str, Work] = {
+    "places": of_room("places:places_data"),
+    "result": of_room("learned:result_data"),
+    "film": of_room("learned:film_data"),
+    "beam": of_room("bending:beam_data"),
+    "check.png": check_picture,
+    "job": shown("job", "learn"),
+    "work/{room:str}": work,
+    "record": shown("recording", "record"),
+    "record/sources": of_room("requests:sources_data"),
+    "record/picture": picture,
+}
+POSTS: dict[str, Work] = {
+    "recordings/{what:str}": recordings,
+    "reach": reach,
+    "work/{room:str}/{what:str}": do_work,
+    "record/{what:str}": done(room="record"),
+    "learn": done(room="learn", what="start"),
+    "stop": done(room="learn", what="stop"),
+}
+
+
+def answered(work: Callable[[Asked], Awaitable[Any]]) -> Callable[[Request], Awaitable[Response]]:
+    """`work` as JSON, and errors in one sentence."""
 
     async def inside(request: Request) -> Response:
         try:
-            return await work(request)
+            asked = await _posted(request) if request.method == "POST" else dict(request.query_params)
+            found = await work(Asked(asked | request.path_params))
         except OnebendError as error:
             return _said({"error": str(error)}, 422)
+        except OSError as error:
+            return _said({"error": f"{error.filename or 'a file'}: {error.strerror or error}"}, 422)
         except ClientDisconnect:  # nobody is there to be answered
             return Response(status_code=400)
+        return found if isinstance(found, Response) else _said(found)
 
     return inside
 
 
 def _said(data: Any, status: int = 200) -> Response:
     return Response(to_json(data, readable=False), status, media_type="application/json")
-
-
-async def _of_room(room: str, function: str, *arguments: Any) -> Any:
-    """Loads the room on first use, in the asking thread."""
-    return await run_in_threadpool(lambda: getattr(import_module(f"onebend.studio.{room}"), function)(*arguments))
-
-
-def _name(request: Request) -> str:
-    return request.query_params.get("name", "")
 
 
 async def _posted(request: Request) -> dict[str, Any]:
@@ -234,13 +205,6 @@ async def _posted(request: Request) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise StudioError("the page sent no JSON object")
     return data
-
-
-def _names(asked: dict[str, Any], key: str) -> list[str]:
-    found = asked.get(key, [])
-    if not isinstance(found, list) or len(found) > _MOST_RECORDINGS or not all(isinstance(one, str) for one in found):
-        raise StudioError(f"{key}: give names of recordings")
-    return [plain_word(one) for one in found]
 
 
 class OneLine(logging.Handler):

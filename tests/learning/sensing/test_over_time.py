@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from onebend.beam.loads import push
-from onebend.learning.sensing.endings import Edge
+from onebend.learning.sensing.contacts import Edge
 from onebend.learning.sensing.sense import Sensed, Touch, joined, sense
 from onebend.records import Array
 from tests.learning.bench import SOFT, observed

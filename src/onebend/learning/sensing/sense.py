@@ -16,8 +16,7 @@ from onebend.errors import LearningError
 from onebend.learning.force_error import force_error
 from onebend.learning.outcome import Notice
 from onebend.learning.sensing import forces, model
-from onebend.learning.sensing.contacts import edges_of, frames_at_edges, runs_of, within
-from onebend.learning.sensing.endings import Edge, bending, ended
+from onebend.learning.sensing.contacts import Edge, contacts_of, excursion_of, runs_of
 from onebend.learning.sensing.model import Bench
 from onebend.learning.sensing.sensor import FEWEST, SensedForces, SensorCheck, check_sensor
 from onebend.options import NOT_NEGATIVE, POSITIVE, option
@@ -310,7 +309,7 @@ def _sensed(searched: forces.Searched, frames: IntArray, priors: Array, settings
     covariance = np.where(known[:, None, None], covariance, np.nan)
     values, vectors = np.linalg.eigh(np.nan_to_num(covariance[:, :2, :2]))
     touched = forces.touches(found)
-    contacts = _over_time(searched, frames, touched, priors, settings)
+    contacts = _over_time(o, frames, touched)
     place, place_sd = _places(searched, settings, known)
     share = np.einsum("tcc->tc", covariance) / priors**2
     out = Sensed(
@@ -368,20 +367,11 @@ def _judged(out: Sensed, o: Observations, frames: IntArray) -> SensorCheck | Non
     return check_sensor(told, out.logged, force_error(o, out.time), o.source.clean_force, clock_sd)
 
 
-def _over_time(
-    searched: forces.Searched, frames: IntArray, touched: BoolArray, priors: Array, settings: SenseSettings
-) -> tuple[Touch, ...]:
+def _over_time(o: Observations, frames: IntArray, touched: BoolArray) -> tuple[Touch, ...]:
     """When each contact began and ended."""
-    runs, time, prior = runs_of(touched), searched.bench.observations.time[frames], float(priors[0])
-    if not runs:
-        return ()
-    some = frames_at_edges(runs, len(frames))
-    found, inside, bench = searched.found.take(some), within(runs, len(frames))[some], searched.bench
-    force = np.where(inside[:, None] | np.isnan(found.force), found.force, 0.0)
-    readings = forces.read(bench, frames[some], force, found.place, priors, seek_place=settings.place == "unknown")
-    every = ended(bending(bench.beam, bench.observations).take(frames), runs, readings.widened)
-    both = zip(every, edges_of(readings, some, every, len(frames), prior), strict=True)
-    return joined([Touch(float(time[c.first]), float(time[c.last]), begin, end) for c, (begin, end) in both])
+    runs, time = runs_of(touched), o.time[frames]
+    found = contacts_of(excursion_of(time, o.xy[frames], runs[0][0]), runs) if runs else []
+    return joined([Touch(float(time[c.first]), float(time[c.last]), c.begin, c.end) for c in found])
 
 
 # One frame after the other, each from the force and shape of the one before. Errors that frames share are integrated
