@@ -22,6 +22,7 @@ from onebend.control.goals import Goals, Targets, check_metres, target_residuals
 from onebend.control.loaded_beam import ReachSettings
 from onebend.control.reach import reach, reach_in_setup
 from onebend.control.shape import (
+    DAMPING,
     Actuators,
     BeamState,
     Grip,
@@ -239,12 +240,15 @@ def _excess(moving: list[_Limited], time: Array) -> Array:
     return np.stack([np.linalg.norm(np.diff(values, axis=0), axis=1) / step / most for values, most in moving], axis=1)
 
 
-def _stretched(moving: list[_Limited], time: Array, smooth: int = 5) -> Array:
-    """(T,) moments moved apart where a limit is exceeded, by the largest excess over `smooth` neighbours."""
+_NEIGHBOURS = 5  # samples that are slowed down together
+
+
+def _stretched(moving: list[_Limited], time: Array) -> Array:
+    """(T,) moments moved apart where a limit is exceeded, by the largest excess over `_NEIGHBOURS`."""
     if not moving:
         return time
     excess = np.max(_excess(moving, time), axis=1)
-    slower = maximum_filter1d(np.where(excess > 1.0, _SLACK * excess, 1.0), smooth, mode="nearest")
+    slower = maximum_filter1d(np.where(excess > 1.0, _SLACK * excess, 1.0), _NEIGHBOURS, mode="nearest")
     return np.append(time[0], time[0] + np.cumsum(np.diff(time) * slower))
 
 
@@ -361,11 +365,11 @@ def _first_pass(
             "a force or the gripper"
         )
     arm = float(beam.length) if settings.shape.arm is None else settings.shape.arm
-    state, descent = first.state, settings.shape.descent
+    state, damping = first.state, DAMPING
     states, at_bound = [], []
     for time in knots.tolist():
-        result = descend(state, goals.at(time), arm, descent)
-        state, descent = result.state, replace(descent, damping=0.0)
+        result = descend(state, goals.at(time), arm, damping)
+        state, damping = result.state, 0.0
         states.append(state)
         at_bound.append(bool(np.any(result.multipliers > 0.0)))
         if result.near_buckling:
@@ -451,11 +455,10 @@ class _KnottedPath:
         held = self.at_bound[after] | self.at_bound[after - 1]
         for bound in actuators.bounds:
             held |= np.linalg.norm(frames.u[:, bound.columns], axis=1) > bound.most
-        warm = replace(self.settings.shape.descent, damping=0.0)
         for i in np.flatnonzero(~ok | held):
             before = BeamState(actuators, frames.q[i - 1], frames.u[i - 1])
             begin = self.states[after[i] - 1] if i == 0 else before
-            result = descend(begin, self.goals.at(float(goal_time[i])), self.arm, warm)
+            result = descend(begin, self.goals.at(float(goal_time[i])), self.arm, damping=0.0)
             if not result.converged:
                 found = "no stable shape closest to the goal was found on the way from the last one"
                 raise ControlError(f"at {goal_time[i]:.4g} s {found}")
@@ -512,8 +515,8 @@ class PathSpread:
 
 
 @one_blas_thread
-def path_spread(way: FollowedPath, uncertain: UncertainStiffness, *, moments: int = _MOMENTS) -> PathSpread:
-    """At up to `moments` evenly spaced samples, with the first and last."""
-    chosen = np.unique(np.round(np.linspace(0, len(way.time) - 1, moments)).astype(int))
+def path_spread(way: FollowedPath, uncertain: UncertainStiffness) -> PathSpread:
+    """At up to `_MOMENTS` evenly spaced samples, with the first and last."""
+    chosen = np.unique(np.round(np.linspace(0, len(way.time) - 1, _MOMENTS)).astype(int))
     states = (BeamState(way.actuators, way.q[i], way.u[i]) for i in chosen)
     return PathSpread(way.time[chosen], np.array([spread(one, way.goals.targets, uncertain).rms for one in states]))

@@ -316,18 +316,12 @@ def bounded_step(
 _LAST_STEP = 1e-9  # rad
 _BELOW_ROUNDING = 1e-6  # rad: below, rounding of the cost hides progress
 _EDGE_MARGIN = 1.1  # times the least margin
-_FIRST_DAMPING = 1e-5  # of the cost's curvature, after a failed step
+_STRIDE = 0.5  # rad, turn per step
+_MOST_STEPS = 200
+_LEAST_MARGIN = 1e-3  # see `BeamState.margin`
+DAMPING = 1e-3  # of the first step, as a share of the cost's curvature
+_FIRST_DAMPING = 1e-5  # the same, after a failed step
 _RETURN_SHARE = 0.5  # of a step's turn
-
-
-@dataclass(frozen=True)
-class DescentSettings:
-    """Angles in radians."""
-
-    stride: float = 0.5  # turn per step
-    most: int = 200
-    damping: float = 1e-3  # of the first step, as a share of the cost's curvature
-    least_margin: float = 1e-3  # see `BeamState.margin`
 
 
 @dataclass(frozen=True)
@@ -344,22 +338,22 @@ class DescentResult:
         return float(self.residuals.cost[0])
 
 
-def descend(start: BeamState, targets: Targets, arm: float, settings: DescentSettings) -> DescentResult:
+def descend(start: BeamState, targets: Targets, arm: float, damping: float = DAMPING) -> DescentResult:
     """Newton's method with bounded turn; a step must lower the cost and be stable."""
     state, residuals = start, target_residuals(start.solved, targets, arm)
-    bounds, damping = start.actuators.bounds, settings.damping
+    bounds = start.actuators.bounds
     multipliers, barred, price = np.zeros(len(bounds)), False, 0.0
-    for _ in range(settings.most):
+    for _ in range(_MOST_STEPS):
         slope, hessian = model_of(state, residuals)
         size = float(np.trace(np.abs(hessian))) + 1e-300
         z, multipliers = bounded_step(slope, convex(hessian, damping * size), state.u, state.plane[1], bounds)
         price = max(price, 2.0 * float(np.sum(multipliers * [bound.most**2 for bound in bounds])))
-        z = z * min(1.0, settings.stride / max(_turn(state, z), 0.5 * float(np.linalg.norm(z)), 1e-300))
+        z = z * min(1.0, _STRIDE / max(_turn(state, z), 0.5 * float(np.linalg.norm(z)), 1e-300))
         turn = _turn(state, z)
         if turn < _LAST_STEP and (damping < 1e-6 or np.linalg.norm(slope) < 1e-14):
             return DescentResult(state, residuals, multipliers, True, barred)
         after = next_state(state, z, turn * (1.0 + _RETURN_SHARE) + 1e-3)
-        stable = after is not None and after.margin > settings.least_margin
+        stable = after is not None and after.margin > _LEAST_MARGIN
         if after is not None and stable:
             new_residuals = target_residuals(after.solved, targets, arm)
             gain = _merit(state, residuals, price) - _merit(after, new_residuals, price)
@@ -373,7 +367,7 @@ def descend(start: BeamState, targets: Targets, arm: float, settings: DescentSet
                 continue
         barred = after is not None and not stable
         damping = max(8.0 * damping, _FIRST_DAMPING)
-        if damping > 1e8 or (barred and state.margin < _EDGE_MARGIN * settings.least_margin):
+        if damping > 1e8 or (barred and state.margin < _EDGE_MARGIN * _LEAST_MARGIN):
             break
     return DescentResult(state, residuals, multipliers, False, barred)
 
@@ -441,7 +435,6 @@ class ShapeSettings:
     starts: int = 6  # if the targets are not met from rest
     seed: int = 0
     warn_margin: float = 0.1
-    descent: DescentSettings = field(default_factory=DescentSettings)
     resolution: Resolution = field(default_factory=lambda: Resolution(order=16, widest=0.5))
 
 
@@ -527,13 +520,13 @@ def shape(
     check_metres(targets.xy, float(beam.length))
     resting = resting_state(beam, tuple(pushes), grip, gravity, settings.resolution)
     begin = resting if start is None else start
-    result = descend(begin, targets, arm, settings.descent)
+    result = descend(begin, targets, arm)
     tried = 1
     enough = _TARGETS_MET**2 * float(np.sum(targets.weight))
     for other in _bent(resting, settings) if start is None else ():
         if result.converged and result.cost < enough:
             break
-        again, tried = descend(other, targets, arm, settings.descent), tried + 1
+        again, tried = descend(other, targets, arm), tried + 1
         result = again if again.cost < result.cost * (1.0 - 1e-6) else result
     resolution, actuators = settings.resolution, resting.actuators
     while not result.state.solved.resolved[0] and resolution.widest > _FINEST_PANEL:
@@ -544,7 +537,7 @@ def shape(
         on_grid = next_state(begin, np.zeros(actuators.count), 0.05)
         if on_grid is None:
             break
-        result = descend(on_grid, targets, arm, settings.descent)
+        result = descend(on_grid, targets, arm)
     return _result(result, targets, arm, tried, uncertain, settings)
 
 
