@@ -6,7 +6,7 @@ import contextlib
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -145,15 +145,10 @@ class ReachCandidate:
     known: bool = False  # one step from a known equilibrium
 
 
-def search(
-    pushed: PushedBeam,
-    goal: Array,
-    settings: ReachSettings,
-    samples: Callable[[], ReachableSet],
-) -> ReachCandidate | None:
+def search(pushed: PushedBeam, goal: Array, settings: ReachSettings) -> ReachCandidate | None:
     """An equilibrium on the goal reached from rest; out of bounds only if there is no other."""
     spare = None
-    for candidate in _tries(pushed, goal, settings, samples):
+    for candidate in _tries(pushed, goal, settings):
         last = candidate.states[-1]
         wrong = broken_bound(float(np.hypot(*last.load[:2])), pushed.bend(last.q), settings)
         if not wrong:
@@ -170,7 +165,7 @@ def from_rest(pushed: PushedBeam, state: LoadedState) -> EquilibriumPath | None:
 
 @lru_cache(maxsize=8)
 def sampled(pushed: PushedBeam, settings: ReachSettings) -> ReachableSet:
-    """Coarse."""
+    """Coarse, once for each beam and settings."""
     return reachable(
         pushed.beam,
         push_s=pushed.push_s,
@@ -183,12 +178,7 @@ def sampled(pushed: PushedBeam, settings: ReachSettings) -> ReachableSet:
     )
 
 
-def _tries(
-    pushed: PushedBeam,
-    goal: Array,
-    settings: ReachSettings,
-    samples: Callable[[], ReachableSet],
-) -> Iterator[ReachCandidate]:
+def _tries(pushed: PushedBeam, goal: Array, settings: ReachSettings) -> Iterator[ReachCandidate]:
     if len(goal) == settings.loads == 2:
         step = step_to(pushed, goal)
         if step is not None:
@@ -200,7 +190,7 @@ def _tries(
         trail = from_rest(pushed, result.state) if result.converged and pushed.stable(result.state) else None
         if trail is not None:
             yield ReachCandidate(pushed, trail.states, iterations)
-    for near in samples().samples_near(goal[:2], _MOST_SAMPLES):
+    for near in sampled(pushed, settings).samples_near(goal[:2], _MOST_SAMPLES):
         yield from _led(pushed, trace(pushed, near.load), goal, settings.loads)
 
 
@@ -368,13 +358,12 @@ def reach(
     pushed = prepared(beam, push_s, point_s, settings.gravity, Resolution())
     if settings.method == "paper":
         return _by_paper(pushed, wanted, settings)
-    samples = partial(sampled, pushed, settings)
     far, candidate = _too_far(pushed, wanted), None
     if not far:
-        candidate = search(pushed, wanted, settings, samples)
+        candidate = search(pushed, wanted, settings)
         if candidate is not None and not candidate.wrong:
             return _result(resolved(candidate, wanted, settings), wanted, settings, "")
-    return _unreached(pushed, wanted, settings, far or (candidate.wrong if candidate else ""), samples())
+    return _unreached(pushed, wanted, settings, far or (candidate.wrong if candidate else ""))
 
 
 def _too_far(pushed: PushedBeam, goal: Array) -> str:
@@ -386,9 +375,9 @@ def _too_far(pushed: PushedBeam, goal: Array) -> str:
     return ""
 
 
-def _unreached(pushed: PushedBeam, goal: Array, settings: ReachSettings, known: str, samples: ReachableSet) -> Reach:
+def _unreached(pushed: PushedBeam, goal: Array, settings: ReachSettings, known: str) -> Reach:
     """The nearest point; within the tolerance it counts as reached."""
-    nearest = samples.nearest(goal[:2])
+    nearest = sampled(pushed, settings).nearest(goal[:2])
     last = nearest.states[-1]
     trail = from_rest(pushed, last)
     states = nearest.states if trail is None else trail.states
