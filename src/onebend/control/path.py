@@ -23,10 +23,12 @@ from onebend.control.loaded_beam import ReachSettings
 from onebend.control.reach import reach, reach_in_setup
 from onebend.control.shape import (
     DAMPING,
+    NEAR_BUCKLING,
     Actuators,
     BeamState,
     Grip,
     Pusher,
+    ShapeResult,
     ShapeSettings,
     actions,
     control_coupling,
@@ -340,32 +342,24 @@ def follow_goals(
     resolution = settings.shape.resolution
     while True:
         search = replace(settings.shape, resolution=resolution)
-        path = _first_pass(beam, goals, knots, pushes, grip, gravity, replace(settings, shape=search))
+        first = shape(beam, goals.at(knots[0]), pushes=pushes, grip=grip, gravity=gravity, settings=search)
+        path = _first_pass(goals, knots, first, settings)
         tail = max(float(state.solved.problem.grid.legendre_tail(state.q)) for state in path.states)
         if tail < _LARGEST_TAIL or resolution.widest <= _FINEST_PANEL:
             return path.sampled()
         resolution = resolution.finer()
 
 
-def _first_pass(
-    beam: Rod,
-    goals: Goals,
-    knots: Array,
-    pushes: tuple[Pusher, ...],
-    grip: Grip | None,
-    gravity: ArrayLike | None,
-    settings: PathSettings,
-) -> _KnottedPath:
+def _first_pass(goals: Goals, knots: Array, first: ShapeResult, settings: PathSettings) -> _KnottedPath:
     """Shapes at the knots, each from the one before."""
-    first = shape(beam, goals.at(knots[0]), pushes=pushes, grip=grip, gravity=gravity, settings=settings.shape)
     if first.open_freedoms:
         raise ControlError(
             f"the goals leave {first.open_freedoms} of {first.state.actuators.count} freedoms of the forces and the "
             "gripper open, so that there is no one path; want more of the beam (angle_rad, more points), or leave out "
             "a force or the gripper"
         )
-    arm = float(beam.length) if settings.shape.arm is None else settings.shape.arm
     state, damping = first.state, DAMPING
+    arm = float(state.actuators.problem.length) if settings.shape.arm is None else settings.shape.arm
     states, at_bound = [], []
     for time in knots.tolist():
         result = descend(state, goals.at(time), arm, damping)
@@ -479,7 +473,7 @@ class _KnottedPath:
         if np.max(miss) > 1e-6 * float(self.actuators.problem.length):
             worst, most = goal_time[np.argmax(miss)], 1e3 * np.max(miss)
             out.append(f"the goals cannot all be met: at worst {most:.3g} mm are missing, at {worst:.4g} s")
-        if np.min(margin) < self.settings.shape.warn_margin:
+        if np.min(margin) < NEAR_BUCKLING:
             out.append(
                 f"close to buckling at {knots[np.argmin(margin)]:.4g} s: the tangent's smallest eigenvalue is "
                 f"{np.min(margin):.3f} of that without loads"

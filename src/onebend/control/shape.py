@@ -426,15 +426,14 @@ _FINEST_PANEL = 1.0 / 16.0
 _TARGETS_MET = 1e-9  # of L, RMS: no further start
 _ACTIVE_BOUND = 1e-6  # share of a bound
 _OPEN_FREEDOM = 1e-9  # of the cost's largest curvature
-_RANDOM_LOAD_SIZE = 1.5  # of random starts, in mean k over L
+_MOST_STARTS = 6  # bent ones, if the targets are not met from rest
+_RANDOM_LOAD_SIZE = 1.5  # of them, in mean k over L
+NEAR_BUCKLING = 0.1  # margin, below which a warning says so
 
 
 @dataclass(frozen=True)
 class ShapeSettings:
     arm: float | None = option("--arm-m", None, within=NOT_NEGATIVE)
-    starts: int = 6  # if the targets are not met from rest
-    seed: int = 0
-    warn_margin: float = 0.1
     resolution: Resolution = field(default_factory=lambda: Resolution(order=16, widest=0.5))
 
 
@@ -504,14 +503,12 @@ def shape(
     grip: Grip | None = None,
     gravity: ArrayLike | None = None,
     uncertain: stiffness.UncertainStiffness | None = None,
-    start: BeamState | None = None,
     settings: ShapeSettings = ShapeSettings(),
 ) -> ShapeResult:
     """The stable shape under these actuators closest to the targets (weighted least squares): a local optimum.
 
-    The search starts from rest, or from `start` (`ShapeResult.state` under the same actuators), and from other bent
-    shapes if the targets are not met. `gravity`: (2,) m/s^2 in the beam's frame. `uncertain`: band of k(s), for the
-    expected errors.
+    The search starts from rest, and from bent shapes if the targets are not met. `gravity`: (2,) m/s^2 in the beam's
+    frame. `uncertain`: band of k(s), for the expected errors.
 
     Raises `ControlError`: no actuator, bad targets, or buckling under weight. Raises `MechanicsError`: k(s) not
     positive.
@@ -519,11 +516,9 @@ def shape(
     arm = float(beam.length) if settings.arm is None else settings.arm
     check_metres(targets.xy, float(beam.length))
     resting = resting_state(beam, tuple(pushes), grip, gravity, settings.resolution)
-    begin = resting if start is None else start
-    result = descend(begin, targets, arm)
-    tried = 1
+    result, tried = descend(resting, targets, arm), 1
     enough = _TARGETS_MET**2 * float(np.sum(targets.weight))
-    for other in _bent(resting, settings) if start is None else ():
+    for other in _bent(resting):
         if result.converged and result.cost < enough:
             break
         again, tried = descend(other, targets, arm), tried + 1
@@ -538,12 +533,12 @@ def shape(
         if on_grid is None:
             break
         result = descend(on_grid, targets, arm)
-    return _result(result, targets, arm, tried, uncertain, settings)
+    return _result(result, targets, tried, uncertain)
 
 
-def _bent(resting: BeamState, settings: ShapeSettings) -> list[BeamState]:
-    actuators, rng, out = resting.actuators, np.random.default_rng(settings.seed), []
-    for _ in range(settings.starts):
+def _bent(resting: BeamState) -> list[BeamState]:
+    actuators, rng, out = resting.actuators, np.random.default_rng(0), []
+    for _ in range(_MOST_STARTS):
         u = _RANDOM_LOAD_SIZE * actuators.scale * rng.standard_normal(actuators.count)
         for bound in actuators.bounds:
             u[bound.columns] *= min(1.0, 0.9 * bound.most / float(np.linalg.norm(u[bound.columns])))
@@ -554,16 +549,10 @@ def _bent(resting: BeamState, settings: ShapeSettings) -> list[BeamState]:
 
 
 def _result(
-    result: DescentResult,
-    targets: Targets,
-    arm: float,
-    tried: int,
-    uncertain: stiffness.UncertainStiffness | None,
-    settings: ShapeSettings,
+    result: DescentResult, targets: Targets, tried: int, uncertain: stiffness.UncertainStiffness | None
 ) -> ShapeResult:
     state = result.state
-    residuals = target_residuals(state.solved, targets, arm)
-    values = np.abs(np.linalg.eigvalsh(model_of(state, residuals)[1]))
+    values = np.abs(np.linalg.eigvalsh(model_of(state, result.residuals)[1]))
     limits = tuple(
         bound.name
         for bound, price in zip(state.actuators.bounds, result.multipliers, strict=True)
@@ -581,17 +570,17 @@ def _result(
         open_freedoms=open_freedoms,
         converged=result.converged,
         starts=tried,
-        warnings=_warnings(result, open_freedoms, settings),
+        warnings=_warnings(result, open_freedoms),
     )
 
 
-def _warnings(result: DescentResult, open_freedoms: int, settings: ShapeSettings) -> tuple[str, ...]:
+def _warnings(result: DescentResult, open_freedoms: int) -> tuple[str, ...]:
     out, margin, count = [], result.state.margin, result.state.actuators.count
     if result.near_buckling:
         out.append("nearer to the targets the beam loses its stability; this is as close as it gets")
     elif not result.converged:
         out.append("the search ended before its optimum; what was found is stable, but may not be the closest")
-    if margin < settings.warn_margin:
+    if margin < NEAR_BUCKLING:
         factor = 1.0 / (1.0 - margin)
         out.append(
             f"close to buckling: the tangent's smallest eigenvalue is {margin:.3f} of that without loads; "
