@@ -218,7 +218,7 @@ def wrong_beams(beam: Beam, k_error: float) -> tuple[TrialBeam, ...]:
 
 
 @one_blas_thread
-def drawn_beams(beam: Beam, known: UncertainStiffness | None, count: int, *, seed: int = 0) -> tuple[TrialBeam, ...]:
+def drawn_beams(beam: Beam, known: UncertainStiffness | None, count: int) -> tuple[TrialBeam, ...]:
     """The model, and `count` beams from the band of k(s).
 
     Raises `ControlError`: no band, or a count not from 1 to `MOST_DRAWN`.
@@ -230,18 +230,13 @@ def drawn_beams(beam: Beam, known: UncertainStiffness | None, count: int, *, see
     ours = np.log(beam.stiffness(_PLACES))
     drawn = [
         TrialBeam(one, float(np.exp(np.mean(np.log(one(_PLACES)) - ours))), drawn=True)
-        for one in known.draw(count, seed=seed)
+        for one in known.draw(count, seed=0)
     ]
     return (TrialBeam(beam.stiffness, 1.0), *drawn)
 
 
 def simulate_trials(
-    control: Controller,
-    beams: Iterable[TrialBeam],
-    *,
-    eye: LoopCamera = LoopCamera(),
-    duration: float = 8.0,
-    seed: int = 0,
+    control: Controller, beams: Iterable[TrialBeam], *, eye: LoopCamera = LoopCamera(), duration: float = 8.0
 ) -> Iterator[LoopTrial]:
     """The loop on each beam; unknown masses are replaced by a small one.
 
@@ -263,6 +258,6 @@ def simulate_trials(
             hand=hand,
         )
         try:
-            yield LoopTrial(beam, simulate_loop(control, truth, duration, seed=seed))
+            yield LoopTrial(beam, simulate_loop(control, truth, duration))
         except MechanicsError:
             yield LoopTrial(beam, None)
