@@ -19,7 +19,7 @@ from onebend.recording.clock import fit_clock
 from onebend.recording.entries import BeamEntry, CameraEntry, TagsEntry
 from onebend.recording.folder import SECTIONS, camera_remarks, implausible
 from onebend.recording.force_log import read_force_log, size_remarks, whole_log
-from onebend.records import ForceLog
+from onebend.records import ForceLog, Remark
 from tests.made_up import BEAM
 
 COLUMNS = ("time_s", "fx_N", "fy_N")
@@ -178,6 +178,25 @@ def test_a_sensor_at_its_end_is_named(axis: int, end: str) -> None:
     rows[:, axis] = np.minimum(rows[:, axis], limit) if end == "largest" else np.maximum(rows[:, axis], 0.05 - limit)
     which = ("first", "second")[axis - 1]
     assert [f"The {which} force of the log stands at exactly its {end} value" in text for text in told(rows)] == [True]
+
+
+def at_its_end_of(made: VirtualRecording, force: np.ndarray) -> list[Remark]:
+    """What is said of a sensor without noise, by the tags too, that writes these forces to 0.01 mN."""
+    rows = np.column_stack([made.log.time, force.round(5)])
+    log = whole_log("log", rows)
+    remarks = observe_virtual(replace(made, log=log)).source.remarks
+    return [one for one in remarks if one.about == "sensor's end"]
+
+
+def test_a_sensor_at_its_end_is_named_without_noise_where_the_beam_goes_on_moving() -> None:
+    bench = VirtualBench(BEAM, PushProfile(0.5, before=1.5, rise=2.0, hold=1.0, fall=2.0, after=1.5, turn=0.0))
+    made = virtual_recording(bench, seed=1)
+    force = made.log.force
+    assert at_its_end_of(made, force) == []  # held for a second: the beam stands still
+    limited = force.copy()
+    limited[:, 1] = np.minimum(force[:, 1], 0.8 * np.max(force[:, 1]))
+    assert [one.doubt for one in at_its_end_of(made, limited)] == [True]
+    assert "The second force of the log stands at exactly its largest" in at_its_end_of(made, limited)[0].text
 
 
 def test_a_log_that_hung_is_cut_there() -> None:

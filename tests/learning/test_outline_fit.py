@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from onebend.learning.allowances import EVERY_ALLOWANCE
 from onebend.learning.condensed import white_share
 from onebend.learning.fit_data import fit_data
 from onebend.learning.frames import of_tags, pose_whitening, read_alone, with_seen_tags
@@ -109,6 +110,16 @@ def test_only_the_distance_across_the_outline_counts() -> None:
     np.testing.assert_allclose(np.einsum("fmij,fmj->fmi", data.whiten[:-1, :, :, :2], along), 0.0, atol=1e-6)
     assert len(data.tags) == 0
     assert not np.isfinite(data.measured[..., 2]).any()
+
+
+def test_errors_across_the_outline_do_not_move_the_end() -> None:
+    one = with_end()
+    data = fit_data(one, 0, np.ones(len(one.time), dtype=bool), Spline(9), EVERY_ALLOWANCE)
+    of_outline = [a.basis for a in data.allowances if a.name in ("outline", "light")]
+    assert len(of_outline) == 2
+    for basis in of_outline:
+        assert np.any(basis[:, -2])
+        assert not np.any(basis[:, -1])
 
 
 def test_a_point_that_was_not_seen_counts_for_nothing() -> None:

@@ -19,7 +19,7 @@ from onebend.errors import LearningError
 from onebend.learning.frames import push_places
 from onebend.recording.plane import HEIGHT_SD, camera_place
 from onebend.recording.signals import bridged
-from onebend.records import Array, BoolArray, Observations, PointMass, View, left_of, tags_among, unit
+from onebend.records import END_ID, Array, BoolArray, Observations, PointMass, View, left_of, tags_among, unit
 
 # Where an allowance enters the model, and what its `basis` is there. F frames, Q nodes, m tags, n parameters:
 #   "log k"       (Q, n) or (F, Q, n): added to log k at the nodes
@@ -81,6 +81,7 @@ class Film:
     problem: Problem
     gravity: Array  # (F, 2) m/s^2
     line: Profile  # kg/m, mass as written
+    rate: Array  # (F, 2) N/s, derivative of the logged force
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ class PushCourse:
     length: float  # m
     marker_s: Array  # (m,)
     on_body: BoolArray  # (m,) which of them are tags; the others are points of an outline
-    across: Array  # (F, m, 2) unit vectors across the outline at its points; zeros at tags
+    across: Array  # (F, m, 2) unit vectors across the outline at its points; zeros at tags and at the body's end
     tags: tuple[str, ...]  # their names
     tag_size: float  # m, NaN if unknown
     thick: bool  # the section's thickness is known
@@ -140,7 +141,7 @@ def course_of(
         length=o.length,
         marker_s=o.marker_s,
         on_body=on_body,
-        across=np.zeros((count, len(on_body), 2)) if across is None else across,
+        across=np.zeros((count, len(on_body), 2)) if across is None else across * (o.tag_id != END_ID)[:, None],
         tags=tuple(f"tag {i}" for i in o.tag_id[on_body]),
         tag_size=o.stated.tag_size,
         thick=bool(np.isfinite(o.stated.thickness)),
@@ -220,6 +221,36 @@ def rubbing(course: PushCourse) -> Allowance | None:
     across = course.force[:, 1] * along[:, 0] - course.force[:, 0] * along[:, 1]
     sd, basis = np.array([course.friction_sd]), (across[:, None] * along)[..., None]
     return Allowance("rub", "force", "1", ("friction of the tool",), sd, basis, sizes=RARE)
+
+
+LAG_SD = 0.05  # s^2, half of the square of a lag of 0.3 s
+
+
+def slow_sensor(film: Film) -> Allowance | None:
+    """What a sensor's lag t leaves where the clocks' offset takes up the delay: a first-order filter writes L with the
+    force `F = L + t L'`, which is `L(time + t) - t^2/2 L''(time + t)` to second order. The parameter is t^2/2."""
+    count = int(np.sum(film.frames))
+    if count < 2 or not np.any(film.rate):
+        return None
+    bent = with_rest(np.gradient(film.rate[:count], film.observations.time[film.frames], axis=0), len(film.rate))
+    label, sd = ("half of the sensor's lag squared",), np.array([LAG_SD])
+    return Allowance("lag", "force", "s^2", label, sd, -bent[..., None], within=POSITIVE, sizes=RARE)
+
+
+LOOP_SD = 0.05  # of the force
+_TURNS = 0.1  # of the fastest motion: where the beam moves more slowly, one branch goes over into the other
+
+
+def hysteresis(course: PushCourse) -> Allowance | None:
+    """The log's scale is another one where the beam is bent than where it is let go: sensor or beam lose energy however
+    slowly they move. Half of the difference."""
+    count = len(course.time)
+    if not course.pushed or count < 2:
+        return None
+    speed = with_rest(np.gradient(course.bend[:count], course.time), len(course.force))
+    out = speed / np.hypot(speed, max(_TURNS * float(np.max(np.abs(speed))), _SMALL))
+    basis = (out[:, None] * course.force)[..., None]
+    return Allowance("hysteresis", "force", "1", ("hysteresis of the force",), np.array([LOOP_SD]), basis, sizes=RARE)
 
 
 # Discrepancy between model and world (Kennedy and O'Hagan 2001): every coordinate of every tag may be off by a function
@@ -749,6 +780,8 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(
         "slide": Effect("sliding contact", sliding),
         "rub": Effect("friction of the tool", rubbing, live=False),
         "posture": Effect("posture-dependent bias", posture_bias),
+        "lag": Effect("slow sensor", _of_film(slow_sensor), live=False),
+        "hysteresis": Effect("hysteresis", hysteresis, live=False),
         "outline height": Effect("outline", _of_film(lambda f: outline_height(f.observations, f.measured)), live=False),
         "rolling shutter": Effect(
             "camera", _of_film(lambda f: rolling_shutter(f.observations, f.frames, len(f.measured))), live=False

@@ -43,11 +43,12 @@ _STATED = {  # what a cause is of, in words
     "clamp": "the direction of the clamp",
     "push place": "the place of the push",
     "force direction": "the direction of the force",
+    "force curve": "how the force grows",
     "clock runs": "the clocks of film and log",
 }
 NO_MATERIAL = "no material"
 _ABOUT = {"the axes of the force": "axes", "the tags' places at rest": "tag places", "Young's modulus": NO_MATERIAL}
-_OF_THE_FORCE = ("force direction", "axis scale", "clock", "clock runs", "mass", "weight", "push place")
+_OF_THE_FORCE = ("force direction", "axis scale", "force curve", "clock", "clock runs", "mass", "weight", "push place")
 
 
 @dataclass(frozen=True)

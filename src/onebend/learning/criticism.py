@@ -32,6 +32,7 @@ UNITS = {  # of what the beam and the push may do otherwise
     "push beside": "m",
     "force direction": "rad",
     "axis scale": "1",
+    "force curve": "1",
     "weight": "N",
     "viscous": "N m s",
     "clamp gives": "rad/(N m)",
@@ -136,6 +137,8 @@ def _entering(data: fit_data.FitData, now: prediction.Prediction) -> dict[str, P
     pushed = data.beyond[..., None] * now.force[:, None, :]
     along, across = prediction.along_and_across(now.force, solved.angle(data.push_s[:, None])[:, 0])
     loaded = (np.arange(len(force)) < int(np.sum(data.frames))).astype(float)
+    share = np.linalg.norm(now.force, axis=1) / max(float(np.max(np.linalg.norm(now.force, axis=1))), 1e-300)
+    curve = now.force[..., None] * np.stack([share, share**2], axis=1)[:, None]
     sag = (loaded[:, None] * (1.0 - problem.grid.nodes))[..., None, None] * np.eye(2)
     return {
         "stretch": _force(product),
@@ -145,6 +148,7 @@ def _entering(data: fit_data.FitData, now: prediction.Prediction) -> dict[str, P
         "push beside": prediction.push_moment(problem, data.push_s, -along),
         "force direction": _force(left_of(pushed)),
         "axis scale": _force(pushed * np.array([1.0, -1.0])),
+        "force curve": prediction.pushed_by(data.beyond, curve),
         "weight": Perturbation(sag, None, None, np.zeros(2)),
         "viscous": Perturbation(None, None, (_rate(data, solved), np.ones((force.shape[1], 1))), np.zeros(1)),
         "clamp": of_clamp_angle(problem),
@@ -434,9 +438,9 @@ def _log10(chance: float) -> float:
 
 # log10 p of one test of about 45: under one false alarm in 2,000 recordings.
 ALARM = -5.0
-# The same for values that a person writes down: they are wrong more often, and hardly show.
+# The same for values that a person writes down, and for sensors: they are wrong more often, and hardly show.
 ALARM_WRITTEN = -2.5
-WRITTEN = ("push place", "force direction", "axis scale", "stiffness along")
+WRITTEN = ("push place", "force direction", "axis scale", "force curve", "stiffness along")
 _AS_LIKELY = 10.0  # of -2 log p: a cause that explains less than the best by no more is named beside it
 _SHARE = 0.8  # of the best cause's gain: the same, where the misfit is large
 _MOST_NAMED = 3  # causes and symptoms that are named

@@ -98,6 +98,13 @@ def without_section_errors(layout: Layout, variances: Array, log_k: Array, covar
     return kept @ log_k, kept @ covariance @ kept.T + off - share @ off
 
 
+def loop_of(layout: Layout, mean: Array) -> float:
+    """Half of the share by which the force differs between a growing and a falling push, the largest of the recordings:
+    nobody knows which of both is right, so the gain of the log is known no better."""
+    loops = (mean[b.where] for b in layout.blocks if b.name == "hysteresis" and b.start >= 0)
+    return max((float(np.abs(one[0])) for one in loops), default=0.0)
+
+
 def _symmetric(matrix: Array) -> Array:
     return 0.5 * (matrix + matrix.T)
 
@@ -247,7 +254,7 @@ class Posterior:
 
     problem: linear.FitProblem
     optimum: optimizer.Optimum
-    gain_sd: float  # of the force's common scale, as declared; 0 where it was not
+    gain_sd: float  # of the force's common scale: as declared, 0 where it was not, and as its loops show
     criticism: Criticism  # whether the model holds
     left_out: tuple[BoolArray, ...]  # (T,) of each recording, poses that no stable equilibrium explains
     place: PlaceSearch | None = None  # other places of the push, where they are worth a look
@@ -476,6 +483,7 @@ def _fit(
     del problem, few, near
     whole, estimate = optimizer.find_on_branches(every, begin, late, progress)
     optimum = optimizer.laplace_posterior(whole, estimate, late)
+    gain_sd = float(np.hypot(gain_sd, loop_of(whole.layout, optimum.x)))
     found = stiffness_of(whole, optimum, gain_sd)
     critic = criticise(whole, optimum, found)
     known = bool(np.any(found.band(np.linspace(0.0, 1.0, 101)).identified))

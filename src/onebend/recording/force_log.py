@@ -37,6 +37,8 @@ def likely_forces(header: Sequence[str]) -> tuple[str, str] | None:
 
 
 AXES = ("first", "second")
+BENT, MOVES = 0.3, 0.05  # of the largest bending: from where on, and by how much, a beam moves under another force
+FINE = 0.02  # of what a column ranges over: with coarser digits it stands still while the force changes
 LARGEST, SMALLEST = 100.0, 5e-3  # N: a soft beam bends under less, and sensors for it do not resolve so little
 TOO_MANY_WEIGHTS, TOO_FEW_WEIGHTS = 700.0, 0.01  # a rod of carbon fibre bends under some hundred times its weight
 OF_WEIGHT = 50.0  # times the beam's weight; the force that bends a soft beam is near its weight
@@ -54,29 +56,35 @@ def still_columns(force: Array) -> tuple[Remark, ...]:
     )
 
 
-def at_its_end(force: Array) -> tuple[Remark, ...]:
+def at_its_end(force: Array, bent: Array | None = None) -> tuple[Remark, ...]:
     """A warning for each column of the forces (N, 2) that often takes its own largest or smallest value.
 
     A sensor at the end of its range repeats one number; a measured force scatters about its largest one. Columns
-    without visible noise, or written with few digits, repeat numbers anyway and are not judged.
+    without visible noise repeat numbers anyway: these are judged where it is known how far the beam is `bent` (N,) of
+    its largest, and only where it goes on moving.
     """
-    remarks = []
+    remarks, loaded = [], np.ones(len(force), dtype=bool) if bent is None else bent > BENT
     for axis, column in zip(AXES, force.T, strict=True):
         values, counts = np.unique(column, return_counts=True)
         for end, index, inward in (("largest", -1, -2), ("smallest", 0, 1)):
-            # Share of rows at an extreme value.
+            # Rows at an extreme value.
             # Times those at the next.
             # Rows.
-            if len(values) < 3 or counts[index] < max(0.01 * len(column), 3.0 * counts[inward], 5):
+            at_extreme = loaded & (column == values[index])
+            count = int(np.sum(at_extreme))
+            if len(values) < 3 or count < max(0.01 * len(column), 3.0 * counts[inward], 5):
                 continue
-            at_extreme = column == values[index]
-            alone = sum(end - begin == 1 for begin, end in runs(at_extreme))
-            if 2 * alone < counts[index] and within_noise(column[~at_extreme]):  # spikes are alone
-                share = 100 * counts[index] / len(column)
+            stands = runs(at_extreme)
+            alone = sum(end - begin == 1 for begin, end in stands)
+            clear = within_noise(column[~at_extreme])
+            if bent is not None:
+                fine = float(np.min(np.diff(values))) < FINE * float(np.ptp(column))
+                clear = not clear and fine and max(float(np.ptp(bent[a:b])) for a, b in stands) > MOVES
+            if 2 * alone < count and clear:  # spikes are alone
                 text = (
                     f"The {axis} force of the log stands at exactly its {end} value, {values[index]:g} N, in "
-                    f"{share:.0f} % of its rows: the sensor is at the end of its range, and the force was larger. k(s) "
-                    "comes out wrong; push less, or take a wider range."
+                    f"{100 * count / len(column):.0f} % of its rows: the sensor is at the end of its range, and the "
+                    "force was larger. k(s) comes out wrong; push less, or take a wider range."
                 )
                 remarks.append(Remark("warning", text, doubt=True, about="sensor's end"))
     return tuple(remarks)

@@ -18,6 +18,8 @@ from onebend.recording.beam_frame import BaseLog, RestShape, gravity_in_frame, r
 from onebend.recording.camera import measure_markers, measure_tags, with_checked_turns
 from onebend.recording.entries import Recording, TagsEntry, VideoEntry
 from onebend.recording.folder import FILE_NAME, read_recording
+from onebend.recording.force_log import at_its_end
+from onebend.recording.force_noise import displacement
 from onebend.recording.signals import MOST_FRAMES, check_span
 from onebend.recording.tags import detect_tags
 from onebend.recording.tool import tool_checked, tool_in_film
@@ -188,6 +190,9 @@ def _assembled(
     time, clean = markers.time + fit.clock.offset, None
     force, push_s, loaded = np.zeros((len(time), 2)), np.full(len(time), np.nan), np.zeros(len(time), dtype=bool)
     if log is not None:
+        moved = displacement(time, reading.xy, reading.xy[0])
+        bent = np.interp(log.time, time, moved / max(float(np.max(moved)), np.finfo(float).tiny))
+        log = replace(log, remarks=(*log.remarks, *at_its_end(log.force, bent)))
         clean = forces.cleaned(rec, log, contact, fit, settings.force)
         at_s = rec.push.at if rec.push else np.nan
         force, push_s = forces.force_at(clean, time, at_s, epsilon=settings.epsilon, settings=settings.force)

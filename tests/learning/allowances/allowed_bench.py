@@ -45,7 +45,7 @@ def course(count: int = 20, **changed: object) -> PushCourse:
 def fit_course(made: Observations) -> PushCourse:
     """As the fit sees it, all frames and the beam at rest."""
     one = fit_data(made, 0, np.ones(len(made.time), dtype=bool), Spline(7))
-    film = Film(made, one.frames, one.measured, one.problem, np.zeros((1, 2)), Uniform(0.0))
+    film = Film(made, one.frames, one.measured, one.problem, np.zeros((1, 2)), Uniform(0.0), one.rate)
     return course_of(made, one.frames, film, one.across)
 
 

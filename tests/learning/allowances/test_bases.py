@@ -168,7 +168,8 @@ def test_only_what_is_wanted_is_allowed_for() -> None:
 
 def test_without_a_push_nothing_slides_and_static_poses_have_none() -> None:
     still = np.zeros((20, 2))
-    assert OF_ONE - chosen(force=still) == {*WEIGHING, "outline", "outline height", "light", "slide", "rub", "posture"}
+    of_a_push = {"slide", "rub", "posture", "lag", "hysteresis"}
+    assert OF_ONE - chosen(force=still) == {*WEIGHING, "outline", "outline height", "light", *of_a_push}
     assert chosen(static=True) == set()
 
 

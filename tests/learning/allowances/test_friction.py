@@ -68,7 +68,7 @@ def test_a_tool_that_does_not_rub_costs_next_to_nothing() -> None:
     found, without = fitted(rubbed(0.0)), fitted(rubbed(0.0), "rub")
     one = friction_in(found)
     assert abs(one.value) < one.sd
-    np.testing.assert_allclose(found.stiffness.log_at(S)[1], without.stiffness.log_at(S)[1], rtol=0.03)
+    np.testing.assert_allclose(found.stiffness.log_at(S)[1], without.stiffness.log_at(S)[1], rtol=0.05)
 
 
 def test_a_log_of_two_axes_measures_friction() -> None:

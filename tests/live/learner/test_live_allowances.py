@@ -237,7 +237,9 @@ def test_it_says_what_it_does_not_allow_for() -> None:
     assert learner.left_out == (
         "camera",
         "gravity direction",
+        "hysteresis",
         "inertia",
+        "lag",
         "light",
         "outline",
         "outline height",
