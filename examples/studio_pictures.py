@@ -70,7 +70,7 @@ def learn(page: Page) -> None:
 def bend(page: Page) -> None:
     page.locator(".big b").wait_for()
     page.locator(".panel:not(.mapping)").wait_for()
-    dragged(page, (0.72, 0.40), (0.6889, 0.2777))
+    dragged(page, (0.72, 0.40), (0.6708, 0.2795))
 
 
 def hand(page: Page) -> None:

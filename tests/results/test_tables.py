@@ -164,6 +164,7 @@ def test_summary_is_strict_json_with_null_for_the_unknown(tmp_path: Path) -> Non
     assert fit["converged"] is True
     assert {"name", "unit", "value", "sd", "prior_sd"} == set(fit["nuisances"][0])
     assert len(fit["hyperparameters"]["noise"]) == 1
+    assert not {"chains", "part_variances"} & set(fit["hyperparameters"])
     assert read["validation"][1]["recording"] == "other-2"
     assert read["remarks"][0]["level"] == "warning"
     texts = [(remark["recording"], remark["text"]) for remark in read["remarks"]]

@@ -335,6 +335,9 @@ def _coefficient_rows(posterior: Posterior) -> tuple[slice, Array]:
     return slice(0, posterior.layout.shared), weights
 
 
+_LASTING = ("posture", "rub")  # errors of the force in a held push: lag and hysteresis end with the motion
+
+
 def _force_error_rows(posterior: Posterior, number: int, terms: Array) -> tuple[slice, Array, Array] | None:
     """The error of the force that recurs in each push: that of the posture, and others by the polynomial nearest to
     them, in the displacement of the pushed place: `terms` (F, 5). Slow errors of one log do not recur.
@@ -343,7 +346,7 @@ def _force_error_rows(posterior: Posterior, number: int, terms: Array) -> tuple[
     coefficients before the data; None where no such error was allowed for.
     """
     data, at = posterior.recordings[number], posterior.layout
-    again = [a for a in data.entering("force") if at.index[a.name, number].start >= 0]
+    again = [a for a in data.entering("force") if a.name in _LASTING and at.index[a.name, number].start >= 0]
     prior_sd = next((a.prior_sd for a in again if a.name == "posture"), None)
     if prior_sd is None:
         return None

@@ -16,23 +16,27 @@ from onebend.records import Array, BoolArray, IntArray, View, rotated
 
 def project(view: View, points: Array) -> Array:
     """Pixels (..., 2) of points (..., 2) [m] of the plane, or (..., 3) with their heights towards the camera."""
-    inside = points @ view.rotation[:, : points.shape[-1]].T + view.translation
-    ray = inside[..., :2] / inside[..., 2:]
-    return distort(ray, view.dist) @ view.matrix[:2, :2].T + view.matrix[:2, 2]
+    inside = points @ np.swapaxes(view.rotation[..., : points.shape[-1]], -1, -2) + view.translation
+    return _after(np.swapaxes(view.matrix[..., :2, :], -1, -2), distort(inside[..., :2] / inside[..., 2:], view.dist))
 
 
 def to_plane(view: View, px: Array) -> Array:
     """Points (..., 2) [m] of the plane that are seen at pixels `px` (..., 2). NaN where no such point exists."""
-    ray = undistort((px - view.matrix[:2, 2]) @ np.linalg.inv(view.matrix[:2, :2]).T, view.dist)
-    direction = np.concatenate([ray, np.ones_like(ray[..., :1])], axis=-1) @ view.rotation  # in the plane's axes
+    ray = undistort(_after(np.swapaxes(np.linalg.inv(view.matrix)[..., :2, :], -1, -2), px), view.dist)
+    direction = _after(view.rotation, ray)  # in the plane's axes
     origin = -view.translation @ view.rotation  # the camera, in the plane's axes
-    reach = -origin[2] / direction[..., 2:]
-    return np.where(reach > 0, origin[:2] + reach * direction[..., :2], np.nan)
+    reach = -origin[..., 2:] / direction[..., 2:]
+    return np.where(reach > 0, origin[..., :2] + reach * direction[..., :2], np.nan)
+
+
+def _after(matrix: Array, points: Array) -> Array:
+    """(..., n) from `matrix` (3, n) and points (..., 2), whose third coordinate is 1."""
+    return np.concatenate([points, np.ones_like(points[..., :1])], axis=-1) @ matrix
 
 
 def distort(ray: Array, dist: Array) -> Array:
     """What the lens does to a normalised image point (x/z, y/z): radial k1, k2, k3 and tangential p1, p2."""
-    k1, k2, p1, p2, k3 = dist
+    k1, k2, p1, p2, k3 = np.moveaxis(dist, -1, 0)
     x, y = ray[..., 0], ray[..., 1]
     square = x * x + y * y
     radial = 1 + square * (k1 + square * (k2 + square * k3))
@@ -120,25 +124,29 @@ class PlaneModel:
         return 3 if self.camera else 7
 
     def view(self, unknowns: Array) -> View:
-        tilt_x, tilt_y, log_distance = unknowns[:3]
+        """Of unknowns (p,); of several at once (V, p) one whose parts broadcast against points (V, K, 4, 2)."""
+        lead, ones = unknowns.shape[:-1], (1,) * (unknowns.ndim - 1)
+        matrix, dist, translation = (np.zeros((*lead, *shape)) for shape in ((3, 3), (5,), (3,)))
+        matrix[..., 2, 2] = 1.0
         if self.camera:
-            matrix = np.array([[self.camera.fx, 0, self.camera.cx], [0, self.camera.fy, self.camera.cy], [0, 0, 1.0]])
-            dist = np.array([*self.camera.dist, 0.0][:5])
+            matrix[..., [0, 1], [0, 1]] = self.camera.fx, self.camera.fy
+            matrix[..., :2, 2] = self.camera.cx, self.camera.cy
+            dist[..., : len(self.camera.dist)] = self.camera.dist
         else:
-            log_focal, k1, shift_x, shift_y = unknowns[3:7]
-            long, (width, height) = max(self.picture), self.picture
-            focal = PLAIN_FOCAL * long * math.exp(min(log_focal, FARTHEST_LOG))
-            centre = (width - 1) / 2 + shift_x * long, (height - 1) / 2 + shift_y * long
-            matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1.0]])
-            dist = np.array([k1, 0.0, 0.0, 0.0, 0.0])
+            long, middle = max(self.picture), 0.5 * (np.array(self.picture) - 1.0)
+            matrix[..., [0, 1], [0, 1]] = PLAIN_FOCAL * long * np.exp(np.minimum(unknowns[..., 3:4], FARTHEST_LOG))
+            matrix[..., :2, 2] = middle + unknowns[..., 5:7] * long
+            dist[..., 0] = unknowns[..., 4]
+        translation[..., 2] = np.exp(np.minimum(unknowns[..., 2], FARTHEST_LOG))
+        tilts = np.concatenate([unknowns[..., :2], np.zeros((*lead, 1))], axis=-1)
         return View(
-            matrix=matrix,
-            dist=dist,
-            rotation=Rotation.from_rotvec([tilt_x, tilt_y, 0.0]).as_matrix() @ FACING,
-            translation=np.array([0.0, 0.0, math.exp(min(log_distance, FARTHEST_LOG))]),
+            matrix=matrix.reshape(*lead, *ones, 3, 3),
+            dist=dist.reshape(*lead, *ones, *ones, 5),
+            rotation=(Rotation.from_rotvec(tilts).as_matrix() @ FACING).reshape(*lead, *ones, 3, 3),
+            translation=translation.reshape(*lead, *ones, *ones, 3),
             calibrated=self.camera is not None,
             corner_sd=math.nan,
-            lying=unknowns[self.count :].reshape(-1, len(LYING_SD)) * LYING_SD,
+            lying=unknowns[..., self.count :].reshape(*lead, -1, len(LYING_SD)) * LYING_SD,
         )
 
 
@@ -248,9 +256,9 @@ def solve(start: Array, seen: Sightings) -> OptimizeResult:
 
 
 def residuals(unknowns: Array, seen: Sightings) -> Array:
-    """Detected corners less those of the fitted squares, and the unknowns, each divided by its sd."""
+    """(..., R) detected corners less those of the fitted squares, and the unknowns (..., p), each over its sd."""
     view, bare = seen.model.view(unknowns), seen.model.count
-    lying = lying_of(view, int(seen.tag.max()) + 1)[seen.tag]
+    lying = np.take(lying_of(view, int(seen.tag.max()) + 1), seen.tag, axis=-2)
     xy, angle = direct = lay_square(to_plane(view, seen.corners))
     for _ in range(2):  # the closed form is of squares in the plane: corrected by what it makes of the model's corners
         again = lay_square(to_plane(view, project_tags(view, xy, angle, seen.size, lying)))
@@ -258,7 +266,8 @@ def residuals(unknowns: Array, seen: Sightings) -> Array:
     residual = (seen.corners - project_tags(view, xy, angle, seen.size, lying)) / seen.sd
     residual = np.nan_to_num(residual, nan=OUT_OF_SIGHT, posinf=OUT_OF_SIGHT, neginf=-OUT_OF_SIGHT)
     wide = np.array([TILT_SD, TILT_SD, np.inf, FOCAL_SD, LENS_SD, CENTRE_SD, CENTRE_SD])[:bare]
-    return np.concatenate([residual.ravel(), unknowns[:bare] / wide, unknowns[bare:]])
+    off = residual.reshape(*unknowns.shape[:-1], -1)
+    return np.concatenate([off, unknowns[..., :bare] / wide, unknowns[..., bare:]], axis=-1)
 
 
 def slopes(unknowns: Array, seen: Sightings) -> Array:
@@ -266,17 +275,12 @@ def slopes(unknowns: Array, seen: Sightings) -> Array:
     bare, own, step = seen.model.count, len(LYING_SD), math.sqrt(np.finfo(float).eps)
     of_tag = np.arange((len(unknowns) - bare) // own)
     tag = np.concatenate([np.repeat(seen.tag, 8), np.full(bare, -1), np.repeat(of_tag, own)])
-    before = residuals(unknowns, seen)
-    jacobian = np.zeros((len(before), len(unknowns)))
-    for i in range(bare + own * (len(of_tag) > 0)):
-        moved = unknowns.copy()
-        moved[i if i < bare else slice(i, None, own)] += step
-        change = (residuals(moved, seen) - before) / step
-        if i < bare:
-            jacobian[:, i] = change
-        else:
-            jacobian[:, i::own] = change[:, None] * (tag[:, None] == of_tag)
-    return jacobian
+    ways = np.eye(bare + own * min(len(of_tag), 1))
+    ways = np.concatenate([ways[:, :bare], np.tile(ways[:, bare:], len(of_tag))], axis=1)
+    before, *moved = residuals(unknowns + step * np.concatenate([np.zeros((1, len(unknowns))), ways]), seen)
+    change = (np.stack(moved, axis=1) - before[:, None]) / step
+    of_tags = change[:, None, bare:] * (tag[:, None] == of_tag)[..., None]
+    return np.concatenate([change[:, :bare], of_tags.reshape(len(before), -1)], axis=1)
 
 
 def misshapen(view: View) -> BoolArray:
@@ -287,7 +291,7 @@ def misshapen(view: View) -> BoolArray:
 
 def lying_of(view: View, count: int) -> Array:
     """(count, 11) `View.lying` of so many tags, zero where the view has none."""
-    return view.lying if len(view.lying) else np.zeros((count, len(LYING_SD)))
+    return view.lying if view.lying.shape[-2] else np.zeros((count, len(LYING_SD)))
 
 
 def project_tags(view: View, xy: Array, angle: Array, size: float, lying: Array) -> Array:

@@ -208,8 +208,12 @@ def comparison_summary(comparison: Comparison) -> dict[str, Any]:
     }
 
 
+_STATE_OF_SEARCH = ("part_variances", "chains")  # more than a thousand numbers in which nobody reads a size
+
+
 def _fit(posterior: Posterior) -> dict[str, Any]:
     optimum, uncertain = posterior.optimum, posterior.stiffness
+    sizes = asdict(optimum.hyperparameters)
     return {
         "trusted": not uncertain.doubts,
         "grade": posterior.grade,
@@ -222,7 +226,7 @@ def _fit(posterior: Posterior) -> dict[str, Any]:
         "nuisances": [asdict(nuisance) for nuisance in posterior.nuisances()],
         "tradeoffs": [asdict(pair) for pair in tradeoffs(posterior)],
         "tradeoffs_with_level": [asdict(pair) for pair in with_level(posterior)],
-        "hyperparameters": asdict(optimum.hyperparameters),
+        "hyperparameters": {name: one for name, one in sizes.items() if name not in _STATE_OF_SEARCH},
         "fitted_rms_m": list(fitted_rms(posterior)),
         "criticism": possible(posterior).criticism.as_dict() | {"trusted": posterior.criticism.trusted},
         "log_evidence": optimum.log_evidence,

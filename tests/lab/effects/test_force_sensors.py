@@ -15,6 +15,7 @@ from onebend.beam.stiffness import Powers
 from onebend.lab.bench import ForceSensor, PushProfile
 from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_virtual, virtual_recording
 from onebend.learning.allowances import EVERY_ALLOWANCE, LAG_SD, hysteresis
+from onebend.learning.instruments import setup_of
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import Nuisance, Posterior, fit
 from onebend.records import Array
@@ -89,6 +90,15 @@ def test_a_sensor_without_either_costs_next_to_nothing() -> None:
     assert named(found, "lag squared").value < 0.1 * LAG_SD
     assert abs(named(found, "hysteresis of the force").value) < 0.1 * LOOP
     np.testing.assert_allclose(found.stiffness.log_at(S)[1], without.stiffness.log_at(S)[1], rtol=0.1)
+
+
+@pytest.mark.parametrize("sensor", ["slow", "loops"])
+def test_what_the_sensor_does_in_motion_leaves_the_set_up_known(sensor: str) -> None:
+    found = fitted(sensor)
+    setup = setup_of(found)
+    assert setup is not None
+    spread = setup.slope @ found.stiffness.covariance @ setup.slope.T + setup.covariance
+    assert np.all(np.sqrt(np.diag(spread)) < 2.0 * setup.prior_sd)  # its sizes are chosen by the evidence
 
 
 def test_hysteresis_turns_where_the_beam_does() -> None:
