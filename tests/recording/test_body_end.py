@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -100,3 +101,15 @@ def test_the_outline_has_the_end_as_a_point_of_which_what_is_along_it_counts() -
     assert outline.track_of(place, one, half, np.zeros((1, 2)), {0: sights[0]}).s[-1] == 1.0
     without = outline.track_of(place, found, half, np.zeros((len(pictures), 2)))
     assert without.s[-1] < 1.0
+
+
+def test_a_longer_body_than_written_is_doubted() -> None:
+    pictures = pictures_of()
+    stations, hidden, _ = stations_and_hidden()
+    sights = sights_of(pictures)
+    place = BodyPlace("painted", VIEW, replace(stations, length=0.94 * LENGTH), hidden, math.nan)
+    found, half = outline.follow(sights, place)
+    track = outline.track_of(place, found, half, np.zeros((len(pictures), 2)), dict(enumerate(sights)))
+    (remark,) = [one for one in track.remarks if one.doubt]
+    assert "The body ends 9 mm beyond" in remark.text
+    assert track.s[-1] < 1.0

@@ -64,7 +64,7 @@ RESOLUTION = Resolution(order=8, widest=0.125)
 _FITTED = 6  # Legendre polynomials of log k that the ideal beam differs by
 _LENGTH_SD, _CLAMP_SD, _LOG_K_SD = 0.005, 0.02, 0.3  # log, rad, log: by which it may differ
 _MISFIT, _EMPHASIS, _LOOSELY = 1e-4, 10.0, 30.0  # of the length; at the points more exact, for the band less
-_ROUNDS, _SMALL = 5, 1e-4
+_ROUNDS, _SMALL, _DRAWS = 5, 1e-4, 60
 _SHARES, _TURNS = (0.25, 0.5, 0.75, 1.0), (-0.35, 0.0, 0.35)  # of the largest force, rad: where it is compared
 _PLACES, _TIP = np.linspace(0.1, 1.0, 10), np.ones(1)
 
@@ -218,14 +218,12 @@ class SetUp:
         gravity: tuple[float, float] = (0.0, 0.0),
         points: Array = _TIP,
         tags: ArrayLike = -1,
-        draws: int = 60,
-        seed: int = 0,
     ) -> tuple[Beam, UncertainStiffness]:
         """The inextensible beam on a rigid clamp that goes where this one goes under the same forces on the beam.
 
         Length, clamp angle and log k differ, the latter by a few Legendre polynomials, so that places of both meet in
         the recording's frame under forces up to the largest: above all `points` (S,), and tenths of the length. The
-        band is as wide as these places spread over `draws` of log k and set-up while the sensor shows the same force;
+        band is as wide as these places spread over draws of log k and set-up while the sensor shows the same force;
         where `tags` (S,) has an id, and not -1, that tag's centre in place of the axis. Raises `MechanicsError`: no
         equilibrium under these forces, or another tag.
         """
@@ -265,19 +263,19 @@ class SetUp:
             slopes = np.concatenate([by_length[..., None], respond(solved, changes).xy(places)], axis=-1)
             off = np.nan_to_num(wanted - solved.xy(places))
             c = c + _least_squares(weights[..., None] * slopes, weights * off, sd, c)
-        ideal, (logs, numbers) = of(c), self.draw(known, draws, seed=seed)
+        ideal, (logs, numbers) = of(c), self.draw(known, _DRAWS, seed=0)
         shown, rows = self.logged(force, there.moved), np.arange(len(force) - len(_TURNS), len(force))
         at = np.repeat(logs, len(rows), axis=0), np.repeat(numbers, len(rows), axis=0)
-        near = np.tile(there.solved.q[rows], (draws, 1))
-        drawn = self.bent(beam, known, np.tile(shown[rows], (draws, 1)), at, near=near, gravity=gravity)
-        off = drawn.axis_at(places, seen).reshape(draws, len(rows), *wanted.shape[1:]) - wanted[rows]
-        off = np.where(drawn.stands.reshape(draws, -1)[..., None, None], np.nan_to_num(off), 0.0)
+        near = np.tile(there.solved.q[rows], (_DRAWS, 1))
+        drawn = self.bent(beam, known, np.tile(shown[rows], (_DRAWS, 1)), at, near=near, gravity=gravity)
+        off = drawn.axis_at(places, seen).reshape(_DRAWS, len(rows), *wanted.shape[1:]) - wanted[rows]
+        off = np.where(drawn.stands.reshape(_DRAWS, -1)[..., None, None], np.nan_to_num(off), 0.0)
         by_k, light = weights[..., None] * slopes[rows, ..., 2:], 1.0 / _LOOSELY
         spread = np.array(
             [_least_squares(light * by_k, light * weights * one, sd[2:], np.zeros(_FITTED)) for one in off]
         )
         assert isinstance(ideal.stiffness, LogSpline)
-        mean, covariance = np.array(ideal.stiffness.coefficients), onto @ (spread.T @ spread / draws) @ onto.T
+        mean, covariance = np.array(ideal.stiffness.coefficients), onto @ (spread.T @ spread / _DRAWS) @ onto.T
         return ideal, replace(known, mean=mean, covariance=covariance, gain_sd=0.0, shape=None, nominal=None)
 
     def moved(self, solved: Equilibrium, rest: Equilibrium) -> Array:

@@ -91,6 +91,7 @@ class Polyline(_Kind):
 
 _DEGREE = 15
 _NARROWEST = 2.0**-12  # in s
+_REMAINING = 1e-12  # of the largest value
 
 
 @dataclass(frozen=True)
@@ -124,13 +125,9 @@ class Pieces(_Kind):
 
 
 def in_pieces(
-    function: Callable[[Array], Array],
-    breaks: tuple[float, ...] = (),
-    *,
-    jumps: tuple[float, ...] = (),
-    tolerance: float = 1e-12,
+    function: Callable[[Array], Array], breaks: tuple[float, ...] = (), *, jumps: tuple[float, ...] = ()
 ) -> Pieces:
-    """A function of s as pieces, cut at `breaks` and `jumps`, halved to `tolerance` times the largest value.
+    """A function of s as pieces, cut at `breaks` and `jumps`, halved to `_REMAINING`.
 
     Raises `MechanicsError`: values that are not finite, or an unlisted jump.
     """
@@ -145,7 +142,7 @@ def in_pieces(
         if not np.all(np.isfinite(values)):
             raise MechanicsError(f"the profile is not finite between s = {a:.6g} and {b:.6g}")
         row = to_series @ values
-        if np.max(np.abs(row[-2:])) <= tolerance * scale:
+        if np.max(np.abs(row[-2:])) <= _REMAINING * scale:
             edges.append(stops.pop(0))
             rows.append(row)
         elif b - a > _NARROWEST:

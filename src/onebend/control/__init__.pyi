@@ -59,7 +59,6 @@ from .reach_set import NearestPoint as NearestPoint, ReachableSet as ReachableSe
 from .shape import (
     Actuators as Actuators,
     BeamState as BeamState,
-    DescentSettings as DescentSettings,
     Grip as Grip,
     LoadBound as LoadBound,
     Pusher as Pusher,

@@ -85,30 +85,23 @@ class LoopSimulation:
 
 
 @one_blas_thread
-def simulate_loop(
-    control: Controller,
-    truth: TrueSystem,
-    duration: float,
-    *,
-    seed: int = 0,
-    tick: float = TICK,
-) -> LoopSimulation:
-    """Runs `control` on `truth` from rest for `duration` s, with a force every `tick` s.
+def simulate_loop(control: Controller, truth: TrueSystem, duration: float, *, seed: int = 0) -> LoopSimulation:
+    """Runs `control` on `truth` from rest for `duration` s, with a force every `TICK` s.
 
     Raises `MechanicsError`: unknown mass, or unsolved motion.
     """
     arrivals = _frames(truth.eye, duration, np.random.default_rng(seed))
-    moving = _MovingBeam(truth, tick)
+    moving = _MovingBeam(truth)
     state = control.begin(0.0)
-    rows = np.zeros((int(np.ceil(duration / tick)) + 1, 7))
+    rows = np.zeros((int(np.ceil(duration / TICK)) + 1, 7))
     axis = np.zeros((len(rows), len(AXIS_PLACES), 2))
     for i, row in enumerate(rows):
         row[1:3], axis[i] = moving.point_and_axis()
-        row[0], row[5:] = i * tick, moving.force
+        row[0], row[5:] = i * TICK, moving.force
         state, row[3:5] = control.step(state, None, row[0])
         while arrivals and arrivals[0][0] <= row[0] + 1e-9:
             _, exposed, noise = arrivals.popleft()
-            first = max(0, int(exposed / tick))
+            first = max(0, int(exposed / TICK))
             before = rows[first : i + 1]
             position = np.array([np.interp(exposed, before[:, 0], before[:, c]) for c in (1, 2)]) + noise
             state, row[3:5] = control.step(state, position, row[0])
@@ -119,15 +112,15 @@ def simulate_loop(
 class _MovingBeam:
     """The true beam behind its actuator."""
 
-    def __init__(self, truth: TrueSystem, tick: float) -> None:
-        self.body, self.tick, self.hand = damped_body(truth), tick, truth.hand
+    def __init__(self, truth: TrueSystem) -> None:
+        self.body, self.hand = damped_body(truth), truth.hand
         self._numbers = integration.tableau(_METHOD)
-        self._stepper = integration.Stepper(self.body, self._numbers, tick, tolerance=1e-8)
+        self._stepper = integration.Stepper(self.body, self._numbers, TICK, tolerance=1e-8)
         places = np.array([truth.push_s, truth.point_s, *AXIS_PLACES])
         levers = self.body.length * self.body.grid.integral_to(places)
         self._lever, self._places = levers[0], levers[1:]
         weighed = dynamics.Actions(gravity=truth.gravity)
-        self._weight = dynamics.acting(self.body, weighed, tick * self._numbers.c)
+        self._weight = dynamics.acting(self.body, weighed, TICK * self._numbers.c)
         start = vibration.settle(self.body, weighed)
         self.theta, self._momentum, self.force = start.theta, np.zeros(self.body.n), np.zeros(2)
         self._guess = np.zeros((self.body.n, len(self._numbers.c)))
@@ -141,7 +134,7 @@ class _MovingBeam:
     def advance(self, asked: Array, now: float) -> None:
         """One tick towards the requested force."""
         goes_to = self.hand.gain * asked + np.asarray(self.hand.bias)
-        decay = np.exp(-self.tick * np.append(self._numbers.c, 1.0) / max(self.hand.lag, 1e-9))
+        decay = np.exp(-TICK * np.append(self._numbers.c, 1.0) / max(self.hand.lag, 1e-9))
         force = goes_to + decay[:, None] * (self.force - goes_to)
         pull = self._weight + self._lever[:, None] * force[:-1].T[:, None]
         step = self._stepper.advance(self.theta, self._momentum, self._guess, pull, now)
@@ -225,7 +218,7 @@ def wrong_beams(beam: Beam, k_error: float) -> tuple[TrialBeam, ...]:
 
 
 @one_blas_thread
-def drawn_beams(beam: Beam, known: UncertainStiffness | None, count: int, *, seed: int = 0) -> tuple[TrialBeam, ...]:
+def drawn_beams(beam: Beam, known: UncertainStiffness | None, count: int) -> tuple[TrialBeam, ...]:
     """The model, and `count` beams from the band of k(s).
 
     Raises `ControlError`: no band, or a count not from 1 to `MOST_DRAWN`.
@@ -237,18 +230,13 @@ def drawn_beams(beam: Beam, known: UncertainStiffness | None, count: int, *, see
     ours = np.log(beam.stiffness(_PLACES))
     drawn = [
         TrialBeam(one, float(np.exp(np.mean(np.log(one(_PLACES)) - ours))), drawn=True)
-        for one in known.draw(count, seed=seed)
+        for one in known.draw(count, seed=0)
     ]
     return (TrialBeam(beam.stiffness, 1.0), *drawn)
 
 
 def simulate_trials(
-    control: Controller,
-    beams: Iterable[TrialBeam],
-    *,
-    eye: LoopCamera = LoopCamera(),
-    duration: float = 8.0,
-    seed: int = 0,
+    control: Controller, beams: Iterable[TrialBeam], *, eye: LoopCamera = LoopCamera(), duration: float = 8.0
 ) -> Iterator[LoopTrial]:
     """The loop on each beam; unknown masses are replaced by a small one.
 
@@ -270,6 +258,6 @@ def simulate_trials(
             hand=hand,
         )
         try:
-            yield LoopTrial(beam, simulate_loop(control, truth, duration, seed=seed))
+            yield LoopTrial(beam, simulate_loop(control, truth, duration))
         except MechanicsError:
             yield LoopTrial(beam, None)

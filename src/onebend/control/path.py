@@ -22,10 +22,13 @@ from onebend.control.goals import Goals, Targets, check_metres, target_residuals
 from onebend.control.loaded_beam import ReachSettings
 from onebend.control.reach import reach, reach_in_setup
 from onebend.control.shape import (
+    DAMPING,
+    NEAR_BUCKLING,
     Actuators,
     BeamState,
     Grip,
     Pusher,
+    ShapeResult,
     ShapeSettings,
     actions,
     control_coupling,
@@ -239,12 +242,15 @@ def _excess(moving: list[_Limited], time: Array) -> Array:
     return np.stack([np.linalg.norm(np.diff(values, axis=0), axis=1) / step / most for values, most in moving], axis=1)
 
 
-def _stretched(moving: list[_Limited], time: Array, smooth: int = 5) -> Array:
-    """(T,) moments moved apart where a limit is exceeded, by the largest excess over `smooth` neighbours."""
+_NEIGHBOURS = 5  # samples that are slowed down together
+
+
+def _stretched(moving: list[_Limited], time: Array) -> Array:
+    """(T,) moments moved apart where a limit is exceeded, by the largest excess over `_NEIGHBOURS`."""
     if not moving:
         return time
     excess = np.max(_excess(moving, time), axis=1)
-    slower = maximum_filter1d(np.where(excess > 1.0, _SLACK * excess, 1.0), smooth, mode="nearest")
+    slower = maximum_filter1d(np.where(excess > 1.0, _SLACK * excess, 1.0), _NEIGHBOURS, mode="nearest")
     return np.append(time[0], time[0] + np.cumsum(np.diff(time) * slower))
 
 
@@ -336,36 +342,28 @@ def follow_goals(
     resolution = settings.shape.resolution
     while True:
         search = replace(settings.shape, resolution=resolution)
-        path = _first_pass(beam, goals, knots, pushes, grip, gravity, replace(settings, shape=search))
+        first = shape(beam, goals.at(knots[0]), pushes=pushes, grip=grip, gravity=gravity, settings=search)
+        path = _first_pass(goals, knots, first, settings)
         tail = max(float(state.solved.problem.grid.legendre_tail(state.q)) for state in path.states)
         if tail < _LARGEST_TAIL or resolution.widest <= _FINEST_PANEL:
             return path.sampled()
         resolution = resolution.finer()
 
 
-def _first_pass(
-    beam: Rod,
-    goals: Goals,
-    knots: Array,
-    pushes: tuple[Pusher, ...],
-    grip: Grip | None,
-    gravity: ArrayLike | None,
-    settings: PathSettings,
-) -> _KnottedPath:
+def _first_pass(goals: Goals, knots: Array, first: ShapeResult, settings: PathSettings) -> _KnottedPath:
     """Shapes at the knots, each from the one before."""
-    first = shape(beam, goals.at(knots[0]), pushes=pushes, grip=grip, gravity=gravity, settings=settings.shape)
     if first.open_freedoms:
         raise ControlError(
             f"the goals leave {first.open_freedoms} of {first.state.actuators.count} freedoms of the forces and the "
             "gripper open, so that there is no one path; want more of the beam (angle_rad, more points), or leave out "
             "a force or the gripper"
         )
-    arm = float(beam.length) if settings.shape.arm is None else settings.shape.arm
-    state, descent = first.state, settings.shape.descent
+    state, damping = first.state, DAMPING
+    arm = float(state.actuators.problem.length) if settings.shape.arm is None else settings.shape.arm
     states, at_bound = [], []
     for time in knots.tolist():
-        result = descend(state, goals.at(time), arm, descent)
-        state, descent = result.state, replace(descent, damping=0.0)
+        result = descend(state, goals.at(time), arm, damping)
+        state, damping = result.state, 0.0
         states.append(state)
         at_bound.append(bool(np.any(result.multipliers > 0.0)))
         if result.near_buckling:
@@ -451,11 +449,10 @@ class _KnottedPath:
         held = self.at_bound[after] | self.at_bound[after - 1]
         for bound in actuators.bounds:
             held |= np.linalg.norm(frames.u[:, bound.columns], axis=1) > bound.most
-        warm = replace(self.settings.shape.descent, damping=0.0)
         for i in np.flatnonzero(~ok | held):
             before = BeamState(actuators, frames.q[i - 1], frames.u[i - 1])
             begin = self.states[after[i] - 1] if i == 0 else before
-            result = descend(begin, self.goals.at(float(goal_time[i])), self.arm, warm)
+            result = descend(begin, self.goals.at(float(goal_time[i])), self.arm, damping=0.0)
             if not result.converged:
                 found = "no stable shape closest to the goal was found on the way from the last one"
                 raise ControlError(f"at {goal_time[i]:.4g} s {found}")
@@ -476,7 +473,7 @@ class _KnottedPath:
         if np.max(miss) > 1e-6 * float(self.actuators.problem.length):
             worst, most = goal_time[np.argmax(miss)], 1e3 * np.max(miss)
             out.append(f"the goals cannot all be met: at worst {most:.3g} mm are missing, at {worst:.4g} s")
-        if np.min(margin) < self.settings.shape.warn_margin:
+        if np.min(margin) < NEAR_BUCKLING:
             out.append(
                 f"close to buckling at {knots[np.argmin(margin)]:.4g} s: the tangent's smallest eigenvalue is "
                 f"{np.min(margin):.3f} of that without loads"
@@ -512,8 +509,8 @@ class PathSpread:
 
 
 @one_blas_thread
-def path_spread(way: FollowedPath, uncertain: UncertainStiffness, *, moments: int = _MOMENTS) -> PathSpread:
-    """At up to `moments` evenly spaced samples, with the first and last."""
-    chosen = np.unique(np.round(np.linspace(0, len(way.time) - 1, moments)).astype(int))
+def path_spread(way: FollowedPath, uncertain: UncertainStiffness) -> PathSpread:
+    """At up to `_MOMENTS` evenly spaced samples, with the first and last."""
+    chosen = np.unique(np.round(np.linspace(0, len(way.time) - 1, _MOMENTS)).astype(int))
     states = (BeamState(way.actuators, way.q[i], way.u[i]) for i in chosen)
     return PathSpread(way.time[chosen], np.array([spread(one, way.goals.targets, uncertain).rms for one in states]))

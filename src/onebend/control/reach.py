@@ -6,7 +6,7 @@ import contextlib
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -145,15 +145,10 @@ class ReachCandidate:
     known: bool = False  # one step from a known equilibrium
 
 
-def search(
-    pushed: PushedBeam,
-    goal: Array,
-    settings: ReachSettings,
-    samples: Callable[[], ReachableSet],
-) -> ReachCandidate | None:
+def search(pushed: PushedBeam, goal: Array, settings: ReachSettings) -> ReachCandidate | None:
     """An equilibrium on the goal reached from rest; out of bounds only if there is no other."""
     spare = None
-    for candidate in _tries(pushed, goal, settings, samples):
+    for candidate in _tries(pushed, goal, settings):
         last = candidate.states[-1]
         wrong = broken_bound(float(np.hypot(*last.load[:2])), pushed.bend(last.q), settings)
         if not wrong:
@@ -170,7 +165,7 @@ def from_rest(pushed: PushedBeam, state: LoadedState) -> EquilibriumPath | None:
 
 @lru_cache(maxsize=8)
 def sampled(pushed: PushedBeam, settings: ReachSettings) -> ReachableSet:
-    """Coarse."""
+    """Coarse, once for each beam and settings."""
     return reachable(
         pushed.beam,
         push_s=pushed.push_s,
@@ -183,12 +178,7 @@ def sampled(pushed: PushedBeam, settings: ReachSettings) -> ReachableSet:
     )
 
 
-def _tries(
-    pushed: PushedBeam,
-    goal: Array,
-    settings: ReachSettings,
-    samples: Callable[[], ReachableSet],
-) -> Iterator[ReachCandidate]:
+def _tries(pushed: PushedBeam, goal: Array, settings: ReachSettings) -> Iterator[ReachCandidate]:
     if len(goal) == settings.loads == 2:
         step = step_to(pushed, goal)
         if step is not None:
@@ -200,7 +190,7 @@ def _tries(
         trail = from_rest(pushed, result.state) if result.converged and pushed.stable(result.state) else None
         if trail is not None:
             yield ReachCandidate(pushed, trail.states, iterations)
-    for near in samples().samples_near(goal[:2], _MOST_SAMPLES):
+    for near in sampled(pushed, settings).samples_near(goal[:2], _MOST_SAMPLES):
         yield from _led(pushed, trace(pushed, near.load), goal, settings.loads)
 
 
@@ -368,13 +358,12 @@ def reach(
     pushed = prepared(beam, push_s, point_s, settings.gravity, Resolution())
     if settings.method == "paper":
         return _by_paper(pushed, wanted, settings)
-    samples = partial(sampled, pushed, settings)
     far, candidate = _too_far(pushed, wanted), None
     if not far:
-        candidate = search(pushed, wanted, settings, samples)
+        candidate = search(pushed, wanted, settings)
         if candidate is not None and not candidate.wrong:
             return _result(resolved(candidate, wanted, settings), wanted, settings, "")
-    return _unreached(pushed, wanted, settings, far or (candidate.wrong if candidate else ""), samples())
+    return _unreached(pushed, wanted, settings, far or (candidate.wrong if candidate else ""))
 
 
 def _too_far(pushed: PushedBeam, goal: Array) -> str:
@@ -386,9 +375,9 @@ def _too_far(pushed: PushedBeam, goal: Array) -> str:
     return ""
 
 
-def _unreached(pushed: PushedBeam, goal: Array, settings: ReachSettings, known: str, samples: ReachableSet) -> Reach:
+def _unreached(pushed: PushedBeam, goal: Array, settings: ReachSettings, known: str) -> Reach:
     """The nearest point; within the tolerance it counts as reached."""
-    nearest = samples.nearest(goal[:2])
+    nearest = sampled(pushed, settings).nearest(goal[:2])
     last = nearest.states[-1]
     trail = from_rest(pushed, last)
     states = nearest.states if trail is None else trail.states
@@ -510,6 +499,7 @@ class PredictedError:
         return bool(self.distance(xy) <= _squared_radius(level))
 
 
+_DRAWS = 400
 _NO_BOUND = (
     "{lost} of {draws} beams within the band do not stand under this load: its error has no bound. "
     "Learn the beam better, or take a goal with a smaller force"
@@ -523,8 +513,7 @@ def predicted_error(
     result: Reach,
     *,
     same_sensor: bool = False,
-    draws: int = 400,
-    seed: int = 0,
+    draws: int = _DRAWS,
 ) -> PredictedError:
     """Uncertainty of the point under the load found, due to the band of k(s).
 
@@ -539,7 +528,7 @@ def predicted_error(
     known = replace(uncertain, gain_sd=0.0) if same_sensor else uncertain
     if draws == 0:
         return PredictedError(result.reached[:2], result.reached[:2], _first_order(known, result), 0.0)
-    beams = [replace(beam, stiffness=profile) for profile in known.draw(draws, seed=seed)]
+    beams = [replace(beam, stiffness=profile) for profile in known.draw(draws, seed=0)]
     problem = make_problems(beams, result.loads, result.resolution)
     solved = refine(problem, np.repeat(result.solved.q, draws, axis=0))
     stands = solved.converged & solved.stable
@@ -641,15 +630,13 @@ def reach_in_setup(
     tag: int | None = None,
     settings: ReachSettings = ReachSettings(),
     new: Iterable[Renewed] = (),
-    draws: int = 400,
-    seed: int = 0,
 ) -> ReachInSetUp:
     """As `reach`, for the set-up of the recording: its place of the push, clamp, sensor, section and length.
 
     The goal is in the frame of the recording. `new`: what is another one now, its parts drawn from their priors.
     `push_s`: default as in the recording. `tag`: the id of one of its tags, whose centre is then the point, in place of
-    that of the axis at `point_s`. The error is that of `draws` from the joint posterior. `uncertain` is the
-    band of `beam`. If no force up to 1.5 times the largest of the recording meets the goal, but a smaller one comes
+    that of the axis at `point_s`. The error is that of draws from the joint posterior. `uncertain` is the band of
+    `beam`. If no force up to 1.5 times the largest of the recording meets the goal, but a smaller one comes
     within 2 % of the length of it, and the 95 % ellipse of that one contains the goal, that one is the answer
     (`converged` is false). Raises `ControlError` where the goal cannot be reached, and as `reach`. Raises
     `MechanicsError`: a tag that the recording did not have.
@@ -670,10 +657,10 @@ def reach_in_setup(
         bend = float(np.max(np.abs(way.solved.q - way.solved.problem.q0) / way.solved.problem.length))
         if wrong := broken_bound(float(np.hypot(*force)), bend, settings):
             raise ControlError(f"the goal is out of bounds in this set-up: {wrong}")
-        felt = force + now.force_sd * np.random.default_rng([seed, 1]).standard_normal((draws, 2))
-        drawn = bent(felt, now.draw(uncertain, draws, seed=seed), np.repeat(way.solved.q[-1:], draws, axis=0))
-        if np.sum(drawn.stands) < max(3, draws // 2):
-            raise ControlError(_NO_BOUND.format(lost=int(np.sum(~drawn.stands)), draws=draws))
+        felt = force + now.force_sd * np.random.default_rng([0, 1]).standard_normal((_DRAWS, 2))
+        drawn = bent(felt, now.draw(uncertain, _DRAWS, seed=0), np.repeat(way.solved.q[-1:], _DRAWS, axis=0))
+        if np.sum(drawn.stands) < max(3, _DRAWS // 2):
+            raise ControlError(_NO_BOUND.format(lost=int(np.sum(~drawn.stands)), draws=_DRAWS))
         places, there = drawn.point(point_s, tag)[drawn.stands], way.point(point_s, tag)
         covariance = np.cov(places.T) + (now.discrepancy * np.linalg.norm(there[-1] - there[0])) ** 2 * np.eye(2)
         error = PredictedError(there[-1], np.mean(places, axis=0), covariance, float(np.mean(~drawn.stands)))

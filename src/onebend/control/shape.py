@@ -316,18 +316,12 @@ def bounded_step(
 _LAST_STEP = 1e-9  # rad
 _BELOW_ROUNDING = 1e-6  # rad: below, rounding of the cost hides progress
 _EDGE_MARGIN = 1.1  # times the least margin
-_FIRST_DAMPING = 1e-5  # of the cost's curvature, after a failed step
+_STRIDE = 0.5  # rad, turn per step
+_MOST_STEPS = 200
+_LEAST_MARGIN = 1e-3  # see `BeamState.margin`
+DAMPING = 1e-3  # of the first step, as a share of the cost's curvature
+_FIRST_DAMPING = 1e-5  # the same, after a failed step
 _RETURN_SHARE = 0.5  # of a step's turn
-
-
-@dataclass(frozen=True)
-class DescentSettings:
-    """Angles in radians."""
-
-    stride: float = 0.5  # turn per step
-    most: int = 200
-    damping: float = 1e-3  # of the first step, as a share of the cost's curvature
-    least_margin: float = 1e-3  # see `BeamState.margin`
 
 
 @dataclass(frozen=True)
@@ -344,22 +338,22 @@ class DescentResult:
         return float(self.residuals.cost[0])
 
 
-def descend(start: BeamState, targets: Targets, arm: float, settings: DescentSettings) -> DescentResult:
+def descend(start: BeamState, targets: Targets, arm: float, damping: float = DAMPING) -> DescentResult:
     """Newton's method with bounded turn; a step must lower the cost and be stable."""
     state, residuals = start, target_residuals(start.solved, targets, arm)
-    bounds, damping = start.actuators.bounds, settings.damping
+    bounds = start.actuators.bounds
     multipliers, barred, price = np.zeros(len(bounds)), False, 0.0
-    for _ in range(settings.most):
+    for _ in range(_MOST_STEPS):
         slope, hessian = model_of(state, residuals)
         size = float(np.trace(np.abs(hessian))) + 1e-300
         z, multipliers = bounded_step(slope, convex(hessian, damping * size), state.u, state.plane[1], bounds)
         price = max(price, 2.0 * float(np.sum(multipliers * [bound.most**2 for bound in bounds])))
-        z = z * min(1.0, settings.stride / max(_turn(state, z), 0.5 * float(np.linalg.norm(z)), 1e-300))
+        z = z * min(1.0, _STRIDE / max(_turn(state, z), 0.5 * float(np.linalg.norm(z)), 1e-300))
         turn = _turn(state, z)
         if turn < _LAST_STEP and (damping < 1e-6 or np.linalg.norm(slope) < 1e-14):
             return DescentResult(state, residuals, multipliers, True, barred)
         after = next_state(state, z, turn * (1.0 + _RETURN_SHARE) + 1e-3)
-        stable = after is not None and after.margin > settings.least_margin
+        stable = after is not None and after.margin > _LEAST_MARGIN
         if after is not None and stable:
             new_residuals = target_residuals(after.solved, targets, arm)
             gain = _merit(state, residuals, price) - _merit(after, new_residuals, price)
@@ -373,7 +367,7 @@ def descend(start: BeamState, targets: Targets, arm: float, settings: DescentSet
                 continue
         barred = after is not None and not stable
         damping = max(8.0 * damping, _FIRST_DAMPING)
-        if damping > 1e8 or (barred and state.margin < _EDGE_MARGIN * settings.least_margin):
+        if damping > 1e8 or (barred and state.margin < _EDGE_MARGIN * _LEAST_MARGIN):
             break
     return DescentResult(state, residuals, multipliers, False, barred)
 
@@ -432,16 +426,14 @@ _FINEST_PANEL = 1.0 / 16.0
 _TARGETS_MET = 1e-9  # of L, RMS: no further start
 _ACTIVE_BOUND = 1e-6  # share of a bound
 _OPEN_FREEDOM = 1e-9  # of the cost's largest curvature
-_RANDOM_LOAD_SIZE = 1.5  # of random starts, in mean k over L
+_MOST_STARTS = 6  # bent ones, if the targets are not met from rest
+_RANDOM_LOAD_SIZE = 1.5  # of them, in mean k over L
+NEAR_BUCKLING = 0.1  # margin, below which a warning says so
 
 
 @dataclass(frozen=True)
 class ShapeSettings:
     arm: float | None = option("--arm-m", None, within=NOT_NEGATIVE)
-    starts: int = 6  # if the targets are not met from rest
-    seed: int = 0
-    warn_margin: float = 0.1
-    descent: DescentSettings = field(default_factory=DescentSettings)
     resolution: Resolution = field(default_factory=lambda: Resolution(order=16, widest=0.5))
 
 
@@ -511,14 +503,12 @@ def shape(
     grip: Grip | None = None,
     gravity: ArrayLike | None = None,
     uncertain: stiffness.UncertainStiffness | None = None,
-    start: BeamState | None = None,
     settings: ShapeSettings = ShapeSettings(),
 ) -> ShapeResult:
     """The stable shape under these actuators closest to the targets (weighted least squares): a local optimum.
 
-    The search starts from rest, or from `start` (`ShapeResult.state` under the same actuators), and from other bent
-    shapes if the targets are not met. `gravity`: (2,) m/s^2 in the beam's frame. `uncertain`: band of k(s), for the
-    expected errors.
+    The search starts from rest, and from bent shapes if the targets are not met. `gravity`: (2,) m/s^2 in the beam's
+    frame. `uncertain`: band of k(s), for the expected errors.
 
     Raises `ControlError`: no actuator, bad targets, or buckling under weight. Raises `MechanicsError`: k(s) not
     positive.
@@ -526,14 +516,12 @@ def shape(
     arm = float(beam.length) if settings.arm is None else settings.arm
     check_metres(targets.xy, float(beam.length))
     resting = resting_state(beam, tuple(pushes), grip, gravity, settings.resolution)
-    begin = resting if start is None else start
-    result = descend(begin, targets, arm, settings.descent)
-    tried = 1
+    result, tried = descend(resting, targets, arm), 1
     enough = _TARGETS_MET**2 * float(np.sum(targets.weight))
-    for other in _bent(resting, settings) if start is None else ():
+    for other in _bent(resting):
         if result.converged and result.cost < enough:
             break
-        again, tried = descend(other, targets, arm, settings.descent), tried + 1
+        again, tried = descend(other, targets, arm), tried + 1
         result = again if again.cost < result.cost * (1.0 - 1e-6) else result
     resolution, actuators = settings.resolution, resting.actuators
     while not result.state.solved.resolved[0] and resolution.widest > _FINEST_PANEL:
@@ -544,13 +532,13 @@ def shape(
         on_grid = next_state(begin, np.zeros(actuators.count), 0.05)
         if on_grid is None:
             break
-        result = descend(on_grid, targets, arm, settings.descent)
-    return _result(result, targets, arm, tried, uncertain, settings)
+        result = descend(on_grid, targets, arm)
+    return _result(result, targets, tried, uncertain)
 
 
-def _bent(resting: BeamState, settings: ShapeSettings) -> list[BeamState]:
-    actuators, rng, out = resting.actuators, np.random.default_rng(settings.seed), []
-    for _ in range(settings.starts):
+def _bent(resting: BeamState) -> list[BeamState]:
+    actuators, rng, out = resting.actuators, np.random.default_rng(0), []
+    for _ in range(_MOST_STARTS):
         u = _RANDOM_LOAD_SIZE * actuators.scale * rng.standard_normal(actuators.count)
         for bound in actuators.bounds:
             u[bound.columns] *= min(1.0, 0.9 * bound.most / float(np.linalg.norm(u[bound.columns])))
@@ -561,16 +549,10 @@ def _bent(resting: BeamState, settings: ShapeSettings) -> list[BeamState]:
 
 
 def _result(
-    result: DescentResult,
-    targets: Targets,
-    arm: float,
-    tried: int,
-    uncertain: stiffness.UncertainStiffness | None,
-    settings: ShapeSettings,
+    result: DescentResult, targets: Targets, tried: int, uncertain: stiffness.UncertainStiffness | None
 ) -> ShapeResult:
     state = result.state
-    residuals = target_residuals(state.solved, targets, arm)
-    values = np.abs(np.linalg.eigvalsh(model_of(state, residuals)[1]))
+    values = np.abs(np.linalg.eigvalsh(model_of(state, result.residuals)[1]))
     limits = tuple(
         bound.name
         for bound, price in zip(state.actuators.bounds, result.multipliers, strict=True)
@@ -588,17 +570,17 @@ def _result(
         open_freedoms=open_freedoms,
         converged=result.converged,
         starts=tried,
-        warnings=_warnings(result, open_freedoms, settings),
+        warnings=_warnings(result, open_freedoms),
     )
 
 
-def _warnings(result: DescentResult, open_freedoms: int, settings: ShapeSettings) -> tuple[str, ...]:
+def _warnings(result: DescentResult, open_freedoms: int) -> tuple[str, ...]:
     out, margin, count = [], result.state.margin, result.state.actuators.count
     if result.near_buckling:
         out.append("nearer to the targets the beam loses its stability; this is as close as it gets")
     elif not result.converged:
         out.append("the search ended before its optimum; what was found is stable, but may not be the closest")
-    if margin < settings.warn_margin:
+    if margin < NEAR_BUCKLING:
         factor = 1.0 / (1.0 - margin)
         out.append(
             f"close to buckling: the tangent's smallest eigenvalue is {margin:.3f} of that without loads; "

@@ -133,7 +133,6 @@ def make_plan(
     *,
     push_s: float = 1.0,
     point_s: float = 1.0,
-    fps: float = 30.0,
     progress: Progress = Silent(),
 ) -> DrivePlan:
     """The plan for goals (time [s] or NaN, (2,) m), one after the other.
@@ -148,7 +147,7 @@ def make_plan(
     if any(gravity) and not has_mass(beam):
         raise ControlError("recording.toml has gravity in the plane, and the model no mass: learn with mass_kg")
     wanted = RequiredMargins(k_error=settings.k_error)
-    timing = Timing(fps, max(settings.delay - settings.lag, 0.0), settings.lag)
+    timing = Timing(delay=max(settings.delay - settings.lag, 0.0), lag=settings.lag)
     loop = ControllerSettings(
         timing=timing, longest_delay=settings.longest_delay, wanted=wanted, most_force=limits.force
     )

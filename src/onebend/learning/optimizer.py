@@ -292,6 +292,8 @@ HOPELESS = 0.2  # of the motion of all tags together: the fit has no meaning
 DOUBTS = {  # by what a remark on the recording is about
     "tool place": "the film shows the tool elsewhere",
     "force unit": "the noise of the force log contradicts its sensor or its unit",
+    "sensor's end": "the sensor was at the end of its range",
+    "length": "the body does not end where length_m says",
     "drift": "the force's zero drifted by more than half of the push",
 }
 CONTRADICTED = "the force contradicts the bending"  # what all others say

@@ -619,13 +619,10 @@ class Pump:
             item = source.read(_WAIT)
             if item is None:
                 continue
-            if isinstance(item, Frame):
-                while not self._stop.is_set():
-                    try:
-                        self._pictures.put(None, timeout=_WAIT)
-                        break
-                    except queue.Full:
-                        continue
+            while isinstance(item, Frame) and not self._stop.is_set():
+                with suppress(queue.Full):
+                    self._pictures.put(None, timeout=_WAIT)
+                    break
             self._items.put((source, item))
             if isinstance(item, End):
                 return

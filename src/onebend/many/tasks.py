@@ -414,9 +414,7 @@ def on_worker(item: Item, settings: TaskSettings) -> ItemResult:
     return do(item, settings)
 
 
-def results_on(
-    address: str, items: Sequence[Item], settings: TaskSettings, work: Work = on_worker
-) -> Iterator[tuple[int, ItemResult]]:
+def results_on(address: str, items: Sequence[Item], settings: TaskSettings) -> Iterator[tuple[int, ItemResult]]:
     """As `results_of`, from the workers of the Dask scheduler at `address`, which repeat the tasks of lost workers.
     Raises `MissingPackageError`, or `ResultsError` if nobody answers or the scheduler is lost."""
     library = package("distributed", "batch")
@@ -426,7 +424,7 @@ def results_on(
         raise ResultsError(f"no scheduler answers at {address} ({error}). Start one, or correct it") from error
     with client:
         try:
-            futures = {client.submit(work, item, settings, pure=False): i for i, item in enumerate(items)}
+            futures = {client.submit(on_worker, item, settings, pure=False): i for i, item in enumerate(items)}
             for future in library.as_completed(futures):
                 yield futures[future], _of_worker(future, library)
         except (OSError, CancelledError) as error:

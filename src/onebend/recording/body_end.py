@@ -18,7 +18,7 @@ from onebend.recording.signals import MAD_TO_SD, nan_median, runs
 from onebend.records import Array
 
 PICTURES = 24  # at most, spread evenly, in which the end is looked for
-LENGTHS, APART = 0.02, 2e-3  # of the length, and m: so far from where `length_m` puts the end it is looked for
+NEAR, FAR, APART = 0.02, 0.08, 2e-3  # of the length, and m: so far from where `length_m` puts the end it is looked for
 ROWS: Array = np.array([-0.75, -0.6, -0.45, -0.3, 0.3, 0.45, 0.6, 0.75])  # of half the width: a dot is in the middle
 OWN = 10.0  # px of the body's own colour, at which a row begins
 LAST = 0.07  # of the length: part of a curve that tells the body's direction at its end; that of its last point swings
@@ -34,8 +34,17 @@ def last_point(curve: flanks.Curve) -> flanks.Curve:
 
 def body_end(sights: Sequence[flanks.Sight], ends: Sequence[flanks.Curve], length: float, width: float) -> Array:
     """(N,) m by which a body of this `length` and `width` [m] ends beyond the last points of its curves, in each of N
-    pictures; NaN where that is not seen, in all of them where it has no lasting place."""
-    every, sample = _along(sights, ends, LENGTHS * length + APART, width)
+    pictures; NaN where that is not seen, in all of them where it has no lasting place. It is looked for near these
+    points, and if it is not there, farther off behind them."""
+    near = _end_within(NEAR * length + APART, sights, ends, width)
+    if np.isfinite(near).any():
+        return near
+    far = _end_within(FAR * length + APART, sights, ends, width)
+    return np.where(far > NEAR * length + APART, far, np.nan)
+
+
+def _end_within(far: float, sights: Sequence[flanks.Sight], ends: Sequence[flanks.Curve], width: float) -> Array:
+    every, sample = _along(sights, ends, far, width)
     out, inside_it = np.full(len(sights), np.nan), np.isfinite(every).all(axis=(1, 2, 3))
     if inside_it.any():
         out[inside_it] = lasting_end(every[inside_it]) * sample[inside_it]

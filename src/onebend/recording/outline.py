@@ -416,7 +416,8 @@ def track_of(
     points = points_of(middle, found, place.stations, place.view, shift, place.scale)
     strays = np.stack([jumps(points.px[:, i], STRAY) for i in range(POINTS)], axis=1)
     points = often_seen(replace(points, sd=np.where(strays, np.nan, points.sd)))
-    return replace(with_end(points, middle, place, shift, at_end), remarks=lost_remarks(found))
+    points = with_end(points, middle, place, shift, at_end)
+    return replace(points, remarks=(*points.remarks, *lost_remarks(found)))
 
 
 def with_end(
@@ -431,9 +432,15 @@ def with_end(
         return points
     width = float(middle.width[-1])
     beyond = body_end.body_end([at_end[i] for i in looked], [ends[i] for i in looked], stations.length, width)
-    seen = np.isfinite(beyond)
+    seen, off = np.isfinite(beyond), float(nan_median(beyond))
     if not seen.any():
         return points
+    if off > body_end.NEAR * stations.length + body_end.APART:
+        text = (
+            f"The body ends {1e3 * off:.0f} mm beyond the place that length_m = {stations.length:.4g} says: correct "
+            "length_m, or size_m of the tags."
+        )
+        return replace(points, remarks=(Remark("warning", text, doubt=True, about="length"),))
     tip, along = np.concatenate([end.xy for end in ends]), unit(np.concatenate([end.angle for end in ends]))
     tip = tip + np.interp(np.arange(len(tip)), np.array(looked)[seen], beyond[seen])[:, None] * along
     ahead = tip + 0.5 / POINTS * stations.length * along

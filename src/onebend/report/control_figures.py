@@ -261,9 +261,9 @@ def sensing(found: Sensed) -> Figure:
     return figure
 
 
-def _band(axes: Axes, time: Array, middle: Array, sd: Array, colour: str, alpha: float = 0.25, **line: Any) -> None:
+def _band(axes: Axes, time: Array, middle: Array, sd: Array, colour: str, **line: Any) -> None:
     """The curve with its 95 % band. `line`: the curve alone."""
-    axes.fill_between(time, middle - WIDE * sd, middle + WIDE * sd, color=colour, alpha=alpha, lw=0.0)
+    axes.fill_between(time, middle - WIDE * sd, middle + WIDE * sd, color=colour, alpha=0.25, lw=0.0)
     axes.plot(time, middle, color=colour, **line)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
 from typing import Any
@@ -188,11 +188,6 @@ def spread_of_pushes(comparison: Comparison, count: int) -> list[int]:
     return sorted({int(np.argmin(np.abs(rising - value))) for value in wanted})
 
 
-def same_frame(comparison: Comparison, other: Comparison, t: int) -> int:
-    """Index in `one` of frame t of `other`, or the nearest."""
-    return int(np.argmin(np.abs(comparison.time - other.time[t])))
-
-
 def centreline(
     beam: Beam, comparison: Comparison, observations: Observations, t: int, places: int = 121
 ) -> Array | None:
@@ -207,6 +202,31 @@ def centreline(
     return solved.xy(np.linspace(0.0, 1.0, places))[0] if solved.converged[0] else None
 
 
+@dataclass(frozen=True)
+class Shown:
+    """A recording with the beam: simulated under the force as logged, and perhaps fitted."""
+
+    beam: Beam
+    logged: Comparison
+    observations: Observations
+    fitted: Explained | None = None
+
+    @property
+    def best(self) -> Comparison:
+        return self.logged if self.fitted is None else self.fitted.comparison
+
+    @property
+    def both(self) -> bool:
+        """Whether the beam under the force as logged is another one: static poses have the loads that hang there."""
+        return self.fitted is not None and not self.logged.static
+
+    def lines(self, t: int) -> tuple[Array | None, Array | None]:
+        """(121, 2) m of frame t of `best`: the beam under the logged force, None if that fails, and the best one."""
+        at = int(np.argmin(np.abs(self.logged.time - self.best.time[t])))
+        logged = centreline(self.beam, self.logged, self.observations, at)
+        return logged, logged if self.fitted is None else self.fitted.line[t]
+
+
 # Lengths in mm, forces in N, stiffness in N m.
 
 _A_ROW = 5  # legend columns
@@ -216,19 +236,11 @@ _EDGED_WIDE: dict[str, Any] = {"path_effects": [withStroke(linewidth=4.4, foregr
 
 
 @styled
-def fit_over_frame(
-    image: NDArray[np.uint8],
-    view: View,
-    beam: Beam,
-    comparison: Comparison,
-    observations: Observations,
-    fitted: Explained | None = None,
-) -> Figure:
+def fit_over_frame(image: NDArray[np.uint8], view: View, one: Shown) -> Figure:
     """Tags and fitted beam over the RGB frame of the largest push; dashed: under the logged force."""
-    shown = comparison if fitted is None else fitted.comparison
+    shown, fitted = one.best, one.fitted
     t = push_to_show(shown)
-    logged = centreline(beam, comparison, observations, t if fitted is None else same_frame(comparison, shown, t))
-    line = logged if fitted is None else fitted.line[t]
+    logged, line = one.lines(t)
     what = "simulated" if fitted is None else "fitted"
     figure, (axes,) = blank(4.4)
     axes.imshow(image)
@@ -246,10 +258,10 @@ def fit_over_frame(
     axes.plot(*points[0].T, "o", markerfacecolor="none", markeredgecolor=ORANGE, markersize=10, markeredgewidth=2,
               label="measured tags", **_EDGED_WIDE)  # fmt: skip
     where = line[round(float(shown.push_s[t]) * (len(line) - 1))] if line is not None else shown.measured[t, -1]
-    points += [_draw_force(axes, view, where, shown.force[t], 0.22 * beam.length)]
+    points += [_draw_force(axes, view, where, shown.force[t], 0.22 * one.beam.length)]
     _crop(axes, np.concatenate(points), image.shape)
     size = f"{significant(float(np.linalg.norm(shown.force[t])))} N" + (" as fitted," if fitted is not None else "")
-    axes.set_title(f"{figure_text(comparison.name)}, frame {shown.frame[t]}: {size} at s = {shown.push_s[t]:.2g}")
+    axes.set_title(f"{figure_text(shown.name)}, frame {shown.frame[t]}: {size} at s = {shown.push_s[t]:.2g}")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=4 if fitted is not None else 3, columnspacing=1.2)
     return figure
 
@@ -279,20 +291,16 @@ def _crop(axes: Axes, points: Array, size: tuple[int, ...]) -> None:
 
 
 @styled
-def shapes(beam: Beam, comparison: Comparison, observations: Observations, fitted: Explained | None = None) -> Figure:
+def shapes(one: Shown) -> Figure:
     """Beam and tags under growing force (Fig. 7)."""
     figure, (axes,) = blank(3.6)
-    shown, count = comparison if fitted is None else fitted.comparison, len(comparison.tag_id)
+    shown, count = one.best, len(one.best.tag_id)
     chosen = spread_of_pushes(shown, 6)
     for order, t in enumerate(chosen):
         strength = 0.25 + 0.75 * (order + 1) / len(chosen)
-        logged = None
-        if fitted is None or not comparison.static:
-            at = t if fitted is None else same_frame(comparison, shown, t)
-            logged = centreline(beam, comparison, observations, at)
-        if fitted is not None and logged is not None:
+        logged, line = one.lines(t)
+        if one.both and logged is not None:
             axes.plot(*(MM * logged.T), color=MUTED, alpha=strength, linewidth=1.0, **_DASHED)
-        line = logged if fitted is None else fitted.line[t]
         if line is not None:
             axes.plot(*(MM * line.T), color=BLUE, alpha=strength, linewidth=1.6)
         for i in range(count):
@@ -300,35 +308,36 @@ def shapes(beam: Beam, comparison: Comparison, observations: Observations, fitte
                 *(MM * shown.measured[t, i]), shape(i), color=hue_of(i, count), alpha=strength, markersize=6, zorder=4,
                 label=f"{legend_words(shown, i)} measured" if order == len(chosen) - 1 and i in named(count) else None,
             )  # fmt: skip
-    axes.plot([], [], color=BLUE, label="simulated beam" if fitted is None else "fitted beam")
-    if fitted is not None and not comparison.static:
+    axes.plot([], [], color=BLUE, label="simulated beam" if one.fitted is None else "fitted beam")
+    if one.both:
         axes.plot([], [], color=MUTED, linewidth=1.0, **_DASHED, label="under the force\nas logged")
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
-    axes.set_title(f"{figure_text(comparison.name)}: shapes under growing {'load' if comparison.static else 'force'}")
+    axes.set_title(f"{figure_text(shown.name)}: shapes under growing {'load' if shown.static else 'force'}")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
 
 
 @styled
-def markers(comparison: Comparison, fitted: Explained | None = None) -> Figure:
+def markers(one: Shown) -> Figure:
     """Tags in time: measured (dots), fitted or simulated under the force as logged (lines)."""
     figure, (above, below) = blank(4.6, 2, 1, sharex=True)
-    time, shown = comparison.time - comparison.time[0], comparison if fitted is None else fitted.comparison
+    comparison, shown = one.logged, one.best
+    time = comparison.time - comparison.time[0]
     step, count = max(1, len(time) // 150), len(comparison.tag_id)  # without dots that would overlap
     for axes, axis, name in ((above, 0, "x"), (below, 1, "y")):
         for i in range(count):
             tint = hue_of(i, count)
             axes.plot(time[::step], MM * comparison.measured[::step, i, axis], shape(i), color=tint, alpha=0.45,
                       markersize=3.2, markeredgewidth=0)  # fmt: skip
-            if fitted is not None and not comparison.static:
+            if one.both:
                 axes.plot(*_unbroken(time, MM * comparison.predicted[:, i, axis]), color=tint, linewidth=0.9, **_DASHED)
             curve = _unbroken(shown.time - comparison.time[0], MM * shown.predicted[:, i, axis])
             label = legend_words(comparison, i, place=True) if i in named(count) else None
             axes.plot(*curve, color=tint, linewidth=1.4, label=label, **_marked(i, time))
         axes.set_ylabel(f"{name} [mm]")
     below.set_xlabel(_time_label(comparison))
-    lines = "lines simulated" if fitted is None else "lines fitted"
-    if fitted is not None and not comparison.static:
+    lines = "lines simulated" if one.fitted is None else "lines fitted"
+    if one.both:
         lines += ", dashed under the force as logged"
     above.set_title(f"{figure_text(comparison.name)}: dots measured, {lines}")
     if count <= _A_ROW:
@@ -443,30 +452,22 @@ def draw_all(findings: Run, *, frames: KeptFrames | None = None, progress: Progr
 
 def _of_recordings(findings: Run, fits: Sequence[Explained | None], kept: KeptFrames) -> dict[str, Draw]:
     beam = findings.beam
-    training, recording = findings.trainings[0], findings.recordings[0]
-    wanted: dict[str, Draw] = {
-        "fit": partial(fit, beam, training, recording, fits[0], kept),
-        "shapes": partial(shapes, beam, training, recording, fits[0]),
-    }
-    if not recording.static:  # poses have no time
-        wanted["markers"] = partial(markers, training, fits[0])
     rows = zip(findings.trainings, findings.recordings, fits, strict=True)
-    for i, (comparison, observations, fitted) in enumerate(rows, start=1):
+    every = [Shown(beam, *row) for row in rows]
+    wanted: dict[str, Draw] = {"fit": partial(fit, every[0], kept), "shapes": partial(shapes, every[0])}
+    if not every[0].logged.static:  # poses have no time
+        wanted["markers"] = partial(markers, every[0])
+    for i, one in enumerate(every, start=1):
         before = "" if i == 1 else f"learned-{i}-"
-        if i > 1:
-            wanted[f"{before}shapes"] = partial(shapes, beam, comparison, observations, fitted)
-        if fitted is not None:
-            wanted[f"{before}fitted"] = partial(residuals, fitted.comparison, "residuals of the fit")
-        if fitted is None or not observations.static:  # for static poses only the fit's distance counts
-            under = words_of(observations).under
-            wanted[f"{before}residuals"] = partial(residuals, comparison, under)
-    if not recording.static:
-        wanted["force"] = partial(force, recording, fits[0])
+        wanted[f"{before}shapes"] = partial(shapes, one)
+        if one.fitted is not None:
+            wanted[f"{before}fitted"] = partial(residuals, one.best, "residuals of the fit")
+        if one.fitted is None or one.both:  # for static poses only the fit's distance counts
+            wanted[f"{before}residuals"] = partial(residuals, one.logged, words_of(one.observations).under)
+    if not every[0].logged.static:
+        wanted["force"] = partial(force, every[0].observations, fits[0])
     pairs = list(zip(findings.validations, findings.validation_observations, strict=True))
-    own = [
-        fitted.comparison if fitted is not None and one.static else one
-        for one, fitted in zip(findings.trainings, fits, strict=True)
-    ]
+    own = [one.logged if one.both else one.best for one in every]
     return wanted | validation_figures(beam, pairs, *own)
 
 
@@ -501,30 +502,22 @@ def validation_figures(
         return {}
     wanted: dict[str, Draw] = {"validation": partial(validation, (*others, *(comparison for comparison, _ in pairs)))}
     for i, (one, where) in enumerate(pairs, start=1):
-        wanted[f"validation-{i}-shapes"] = partial(shapes, beam, one, where)
+        wanted[f"validation-{i}-shapes"] = partial(shapes, Shown(beam, one, where))
         wanted[f"validation-{i}-residuals"] = partial(residuals, one)
     return wanted
 
 
-def fit(
-    beam: Beam,
-    comparison: Comparison,
-    observations: Observations,
-    fitted: Explained | None = None,
-    kept: KeptFrames | None = None,
-) -> Figure | None:
+def fit(one: Shown, kept: KeptFrames) -> Figure | None:
     """The fit over the video frame; None without video or camera."""
-    if observations.source.view is None or observations.source.video is None:
+    source, shown = one.observations.source, one.best
+    if source.view is None or source.video is None:
         return None
-    shown = comparison if fitted is None else fitted.comparison
-    wanted, film = int(shown.frame[push_to_show(shown)]), film_of(observations.source.video, observations)
+    wanted = int(shown.frame[push_to_show(shown)])
     try:
-        found = dict((kept or KeptFrames()).pictures(film, [wanted], colour=True))
+        found = dict(kept.pictures(film_of(source.video, one.observations), [wanted], colour=True))
     except OnebendError:
         return None
-    if (image := found.get(wanted)) is None:
-        return None
-    return fit_over_frame(image, observations.source.view, beam, comparison, observations, fitted)
+    return fit_over_frame(found[wanted], source.view, one) if wanted in found else None
 
 
 ROWS = 4000  # of the log

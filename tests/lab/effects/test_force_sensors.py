@@ -1,4 +1,5 @@
-"""What sensors do to a log: a lag, and less on the way back than on the way out."""
+"""What sensors do to a log: a lag, less on the way back than on the way out, and less than the force where it is
+large."""
 
 from __future__ import annotations
 
@@ -42,6 +43,9 @@ def recorded(sensor: str) -> VirtualRecording:
     if sensor == "loops":
         grows = np.tanh(20.0 * np.gradient(np.linalg.norm(force, axis=1)) / 0.005)
         return logged(LOOP * grows[:, None] * force, made)
+    if sensor == "limited":  # in axes of its own, so that no column stands still
+        most = 0.8 * PUSH.peak / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9)
+        return logged(np.minimum(most - 1.0, 0.0) * force, made)
     return made
 
 
@@ -73,6 +77,12 @@ def test_hysteresis_is_found_and_costs_no_stiffness() -> None:
     assert loop == pytest.approx(-LOOP, rel=0.2)
     assert found.gain_sd == pytest.approx(abs(loop))  # which branch is right nobody knows
     assert error(found) < 0.5 * error(fitted("loops", "hysteresis"))
+
+
+def test_a_force_that_grows_too_little_is_told() -> None:
+    found = fitted("limited")
+    assert "force curve" in [one.score.suspect.name for one in found.criticism.alarms]
+    assert found.grade == "not to be trusted"
 
 
 def test_a_sensor_without_either_costs_next_to_nothing() -> None:

@@ -18,7 +18,7 @@ from onebend.learning.prediction import State
 from onebend.learning.validation import validate
 from onebend.learning.verdict import explained
 from onebend.report import figures as curves, figures as recordings, style
-from onebend.report.figures import centreline, largest_push, push_to_show, spread_of_pushes
+from onebend.report.figures import Shown, centreline, largest_push, push_to_show, spread_of_pushes
 from onebend.report.overview import overview
 from onebend.report.style import BLUE, hue_of, named, png_of
 from tests import made_up
@@ -33,15 +33,16 @@ IMAGE = np.full((500, 640, 3), 128, dtype=np.uint8)
 
 def every_figure() -> dict[str, Figure]:
     learned = made_up.learned(ONE)
+    shown = Shown(learned.beam, ONE, SEEN)
     assert SEEN.source.view is not None
     return {
         "stiffness": curves.stiffness(
             learned.beam, tags=dict(zip(ONE.tag_id.tolist(), ONE.marker_s.tolist(), strict=True)), push_s=0.8
         ),
         "band": curves.stiffness(FIT.beam, uncertain=FIT.stiffness, regression=learned.beam.stiffness, push_s=0.8),
-        "fit": recordings.fit_over_frame(IMAGE, SEEN.source.view, learned.beam, ONE, SEEN),
-        "shapes": recordings.shapes(learned.beam, ONE, SEEN),
-        "markers": recordings.markers(ONE),
+        "fit": recordings.fit_over_frame(IMAGE, SEEN.source.view, shown),
+        "shapes": recordings.shapes(shown),
+        "markers": recordings.markers(shown),
         "residuals": recordings.residuals(ONE),
         "force": recordings.force(SEEN),
         "validation": recordings.validation((ONE, made_up.comparison("other"))),
@@ -68,14 +69,14 @@ def test_what_the_fit_explains_runs_through_its_own_tags_and_ends_as_near_as_it_
 
 def test_the_fit_is_drawn_solid_and_the_logged_force_dashed() -> None:
     seen = FIT.recordings[0].observations
-    axes = recordings.shapes(FIT.beam, LOGGED, seen, FITTED).axes[0]
+    axes = recordings.shapes(Shown(FIT.beam, LOGGED, seen, FITTED)).axes[0]
     blue = [line for line in axes.lines if line.get_color() == BLUE and line.get_linestyle() == "-"]
     blue = [line for line in blue if np.size(line.get_xdata()) == FITTED.line.shape[1]]
     last = largest_push(FITTED.comparison)
     np.testing.assert_allclose(np.array(blue[-1].get_data(), dtype=float).T, 1000 * FITTED.line[last])
     dashed = [line for line in axes.lines if line.get_linestyle() == "--"]
     assert len(dashed) == len(blue) + 1  # and one for the legend
-    above, _ = recordings.markers(LOGGED, FITTED).axes
+    above, _ = recordings.markers(Shown(FIT.beam, LOGGED, seen, FITTED)).axes
     solid = [line for line in above.lines if str(line.get_label()).startswith("tag ")]
     np.testing.assert_allclose(np.array(solid[0].get_ydata(), dtype=float), 1000 * FITTED.comparison.predicted[:, 0, 0])
     force = recordings.force(seen, FITTED).axes[0]
@@ -94,7 +95,7 @@ def test_figure_is_a_picture_with_units_on_its_axes(name: str) -> None:
 
 def test_drawing_leaves_no_trace_in_the_callers_settings() -> None:
     before = dict(matplotlib.rcParams)
-    png_of(recordings.markers(ONE))
+    png_of(recordings.markers(Shown(made_up.BEAM, ONE, SEEN)))
     assert dict(matplotlib.rcParams) == before
 
 
@@ -172,7 +173,7 @@ def test_stiffness_that_is_no_beam_is_marked() -> None:
 
 
 def test_markers_are_where_the_records_say() -> None:
-    above, below = recordings.markers(ONE).axes
+    above, below = recordings.markers(Shown(made_up.BEAM, ONE, SEEN)).axes
     for axes, axis in ((above, 0), (below, 1)):
         drawn = [np.array(line.get_ydata(), dtype=float) for line in axes.lines]
         for i in range(3):
@@ -210,14 +211,14 @@ def test_a_beam_that_cannot_stand_draws_its_markers_only() -> None:
     beam = Beam(0.15, Uniform(-0.1))
     assert centreline(beam, ONE, SEEN, 60) is None
     assert SEEN.source.view is not None
-    png_of(recordings.fit_over_frame(IMAGE, SEEN.source.view, beam, ONE, SEEN))
-    png_of(recordings.shapes(beam, ONE, SEEN))
+    png_of(recordings.fit_over_frame(IMAGE, SEEN.source.view, Shown(beam, ONE, SEEN)))
+    png_of(recordings.shapes(Shown(beam, ONE, SEEN)))
 
 
 def test_few_frames_unknown_sensor_and_no_force_log() -> None:
     short = made_up.comparison(frames=2)
     png_of(recordings.residuals(short))
-    png_of(recordings.markers(short))
+    png_of(recordings.markers(Shown(made_up.BEAM, short, SEEN)))
     png_of(recordings.force(with_source(SEEN, clean_force=None)))
     unknown = replace(ONE, rms=np.full(3, np.nan), sensor_rms=np.full(3, np.nan))
     png_of(recordings.validation((unknown,)))
@@ -239,7 +240,8 @@ def with_markers(count: int) -> Comparison:
 def test_however_many_markers_all_is_inside_the_picture(count: int) -> None:
     """Matplotlib warns where a legend leaves no room for the axes, and warnings are errors here."""
     one = with_markers(count)
-    for figure in (recordings.shapes(made_up.BEAM, one, SEEN), recordings.markers(one), recordings.residuals(one)):
+    shown = Shown(made_up.BEAM, one, SEEN)
+    for figure in (recordings.shapes(shown), recordings.markers(shown), recordings.residuals(one)):
         png_of(figure)
         legends = [legend for axes in figure.axes if (legend := axes.get_legend()) is not None]
         names = [

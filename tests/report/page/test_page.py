@@ -14,9 +14,10 @@ from onebend import __version__
 from onebend.learning.fit_data import FitData
 from onebend.learning.outcome import another_beam, poor_fit
 from onebend.learning.verdict import fitted_rms
+from onebend.recording.video import KeptFrames
 from onebend.records import POINT_ID, ClockOffset, Remark
 from onebend.report.confidence import alarm_words, allowance_rows, stiffness_range, tradeoff_words, unidentified_words
-from onebend.report.figures import draw_all, fit
+from onebend.report.figures import Shown, draw_all, fit
 from onebend.report.page import cards, code_in, page
 from onebend.report.sentences import (
     all_remarks,
@@ -172,9 +173,9 @@ def test_bare_findings_make_a_page_without_empty_sections(fitted: bool) -> None:
 
 def test_a_fit_without_its_video_is_left_out(tmp_path: Path) -> None:
     found = made_up.findings(0)
-    training, beam = found.trainings[0], found.beam
-    assert fit(beam, training, with_source(found.recordings[0], video=tmp_path / "gone.mp4")) is None
-    assert fit(beam, training, with_source(found.recordings[0], view=None)) is None
+    one = Shown(found.beam, found.trainings[0], with_source(found.recordings[0], video=tmp_path / "gone.mp4"))
+    assert fit(one, KeptFrames()) is None
+    assert fit(replace(one, observations=with_source(found.recordings[0], view=None)), KeptFrames()) is None
 
 
 def test_remarks_come_once_and_warnings_first() -> None:
