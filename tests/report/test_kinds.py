@@ -101,7 +101,8 @@ def test_assumptions_and_inputs_fit_the_kind(kind: str) -> None:
 
 def test_the_scale_of_k_is_that_of_what_bends_it() -> None:
     film = made_up.observations()
-    assert "assumed to be known to 2 %" in scale_words(0.02, [film])
+    assert "assumed to be known to 2 %" in scale_words(0.02, [film], loop=0.005)
+    assert "differ by 6 % between a growing and a falling force" in scale_words(0.035, [film], loop=0.03)
     assert "weight" in scale_words(0.0, [with_source(film, clean_force=None)])
     poses = replace(with_source(film, clean_force=None, view=None), static=True)
     assert "known to 5.00 mN each" in scale_words(0.0, [poses])

@@ -117,14 +117,20 @@ def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> li
     return told
 
 
-def scale_words(gain_sd: float, recordings: Sequence[Observations]) -> str:
-    """The source of the scale of k(s): force, loads or weight."""
+_LOOP_SHARE = 0.5  # of the scale's sd, from which the log's hysteresis is named as its source
+
+
+def scale_words(gain_sd: float, recordings: Sequence[Observations], loop: float = 0.0) -> str:
+    """The source of the scale of k(s): force, loads or weight. `loop`: half of what the log's scale differs by between
+    a growing and a falling push."""
     if sentences.only_frequencies(recordings):
         return say("scale by mass")
     forced = [one for one in recordings if sentences.is_forced(one)]
     if not forced:
         return say("scale by weight")
     if not sentences.only_static(forced):
+        if loop > _LOOP_SHARE * gain_sd:
+            return say("gain of a loop", sd=gain_sd, loop=2.0 * loop)
         return say("gain", sd=gain_sd) if gain_sd > 0.0 else say("gain exact")
     sd = max(float(np.max(one.force_sd)) for one in forced)
     return say("loads", sd=significant(1e3 * sd)) if sd > 0.0 else say("loads exact")

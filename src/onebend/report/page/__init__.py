@@ -19,7 +19,7 @@ from onebend.beam.stiffness import UncertainStiffness, half_width_words
 from onebend.files.publish import this_onebend
 from onebend.learning.frequencies import compared_frequencies, worst_off
 from onebend.learning.outcome import Comparison
-from onebend.learning.posterior import Posterior
+from onebend.learning.posterior import Posterior, loop_of
 from onebend.learning.run import Run
 from onebend.learning.verdict import fitted_rms, possible, unseen_place
 from onebend.records import Array, Observations
@@ -315,7 +315,7 @@ def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, 
         "blind": confidence.unidentified_words(posterior.stiffness, len(recordings)),
         "gain": " ".join(
             [
-                confidence.scale_words(posterior.gain_sd, recordings),
+                confidence.scale_words(posterior.gain_sd, recordings, loop_of(posterior.layout, posterior.mean)),
                 *confidence.load_error_words(posterior.load_error),
                 confidence.mounting_words(posterior),
             ]
