@@ -118,9 +118,9 @@ def _let_go(seen: Excursion, first: int, last: int, runs: list[tuple[int, int]])
     return usual if moves < last or held < first else ContactFrames(first, held, moves, end=let_go)
 
 
-# The bending is that at rest until `t0`, and then `j + v t + a t^2 / 2 + w(t)`, w white noise integrated
-# twice, or `c t^3 / 3 + w(t)`, integrated four times. For given sizes of the five the evidence of each `t0` has a
-# closed form; it is averaged over sizes. An end without a swing is a beginning with time reversed.
+# The bending is that at rest until `t0`, and then `j + v t + a t^2 / 2 + w(t)`, w white noise integrated twice, or
+# `c t^3 / 3 + w(t)`, integrated four times. For given sizes of these the evidence of each `t0` has a closed form; it is
+# averaged over sizes. An end without a swing is a beginning with time reversed.
 
 _BEFORE, _AFTER = 48, 24  # frames that tell when it begins
 _LATER = 5  # frames that show a force, and still may be from before
