@@ -7,7 +7,8 @@ from PIL import Image
 
 import onebend
 from onebend.learning.verdict import explained
-from onebend.report.figures import fit, stiffness
+from onebend.recording.video import KeptFrames
+from onebend.report.figures import Shown, fit, stiffness
 from onebend.report.style import png_of
 
 HERE = Path(__file__).parent
@@ -19,7 +20,7 @@ learned = onebend.learning.regress(observations)
 found = onebend.fit([observations], learned.beam.stiffness)
 
 figures = [
-    fit(found.beam, onebend.validate(found.beam, observations), observations, explained(found)[0]),
+    fit(Shown(found.beam, onebend.validate(found.beam, observations), observations, explained(found)[0]), KeptFrames()),
     stiffness(
         found.beam,
         uncertain=found.stiffness,
