@@ -1,4 +1,4 @@
-"""Tracks of markers and tables of static poses, from any tracker or by hand."""
+"""Tables of tracked markers and curves, from any tracker or by hand; signals and frequencies of swings."""
 
 from __future__ import annotations
 
