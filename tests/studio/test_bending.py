@@ -93,7 +93,7 @@ def test_a_drag_is_answered_with_the_force_that_reach_gives(working: TestClient,
     answer = message["answer"]
     assert answer["limit"] is None
     assert np.allclose(
-        answer["force_N"], [0.05, 0.2], atol=1e-3
+        answer["force_N"], [0.05, 0.2], atol=2e-3
     )  # along the beam a force moves the point by next to nothing
     assert np.allclose(answer["line_m"][-1], goal, atol=2e-6)
     long, short = answer["ellipse"]["semi_axes_m"]
@@ -121,7 +121,7 @@ def test_the_command_is_exact_where_a_micrometre_takes_much_force(
     done = CliRunner().invoke(app, [*shlex.split(command)[1:], "--json"])
     assert done.exit_code == 0, done.output
     off = np.linalg.norm(np.subtract(json.loads(done.stdout)["force_N"], force))
-    assert off <= max(2e-2 * np.hypot(*force), 1e-4)
+    assert off <= max(3e-2 * np.hypot(*force), 1e-4)
 
 
 def test_a_beam_is_bent_in_the_set_up_that_it_was_learned_in(tmp_path: Path) -> None:
