@@ -96,6 +96,7 @@ _DIES = 0.9  # of the first half swing, that the last one is smaller than: a han
 _OFTEN = 0.7  # of the frames that the tag seen most often has: a tag seen less does not show a swing
 _HELD = 0.9  # of the largest bending: where it was so large for the last time, the fall began
 _LEAST_JERK = 10.0
+_LARGER = 1.2  # times the last half swing: what follows is of the swing, of which there are few frames
 _SOON = 2.0  # half swings after the last clear one, in which the rest of the swing may show
 
 
@@ -109,7 +110,7 @@ def _let_go(seen: Excursion, first: int, last: int, runs: list[tuple[int, int]])
     moves = int(np.searchsorted(time, swing.end)) - 1
     for begin, end in runs:
         soon = end > moves and time[begin] < time[moves] + _SOON * swing.half
-        if soon and np.max(size[moves : end + 1]) <= swing.left * swing.size:
+        if soon and np.max(size[moves : end + 1]) <= _LARGER * swing.left * swing.size:
             moves = end
     falls = swing.passage - float(time[(size > _HELD * size[peak]) & (time < swing.passage)][-1])
     tail = falls * np.cbrt(swing.size / size[peak] / _LEAST_JERK)
