@@ -35,11 +35,11 @@ help:
 demo: $(STAMP)
 	$(BIN)/onebend learn examples/linear-beam/train --output out/linear-beam --validate examples/linear-beam/fast --force
 
+# The types are checked beside the tests, some of which wait.
 test: $(TESTS)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(BIN)/pytest $(BY_FILE)
+	@$(BIN)/mypy & types=$$!; $(BIN)/pytest $(BY_FILE); tests=$$?; wait $$types && exit $$tests
 
 test-all: $(TESTS)
 	$(BIN)/pytest $(BY_FILE) -m "" --cov=onebend --cov-report=term:skip-covered --cov-fail-under=90
