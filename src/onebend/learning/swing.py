@@ -190,7 +190,7 @@ def first_passage(time: Array, signals: Array) -> float:
 
 
 def roughness(value: Array) -> float:
-    """The sd of white noise in a smooth signal (N,), N >= 3, from its second differences."""
+    """The median of white noise without its sign, 0.67 sds, in a smooth signal (N,), N >= 3: by second differences."""
     return float(np.median(np.abs(np.diff(value, n=2))) / np.sqrt(6.0))
 
 
@@ -208,7 +208,7 @@ class HalfSwings:
 def half_swings(
     time: Array, value: Array, noise: float, *, fewest: int = _HALF_SWINGS, starts: int | None = None
 ) -> HalfSwings | None:
-    """The longest row of half swings clear of `noise` (sd) in a signal (N,) that is zero at rest; of those that begin
+    """The longest row of half swings clear of `noise` in a signal (N,) that is zero at rest; of those that begin
     at one of the first `starts` passages through rest, where said. None: all have less than `fewest`."""
     change = np.flatnonzero(np.diff(np.sign(value)) != 0.0)
     share = value[change] / (value[change] - value[change + 1])
@@ -223,11 +223,10 @@ def half_swings(
             stop += 1
             usual = float(np.median(lasts[i:stop]))
         if stop - i >= fewest:
-            rows.append((stop - i, -i))
+            rows.append((i, stop))
     if not rows:
         return None
-    count, first = max(rows)
-    i, stop = -first, count - first
+    i, stop = max(rows, key=lambda row: row[1] - row[0])
     half = float(np.median(lasts[i:stop]))
     return HalfSwings(float(passage[i]), half, float(passage[stop]), float(size[i]), float(size[stop - 1] / size[i]))
 

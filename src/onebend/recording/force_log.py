@@ -67,9 +67,7 @@ def at_its_end(force: Array, bent: Array | None = None) -> tuple[Remark, ...]:
     for axis, column in zip(AXES, force.T, strict=True):
         values, counts = np.unique(column, return_counts=True)
         for end, index, inward in (("largest", -1, -2), ("smallest", 0, 1)):
-            # Rows at an extreme value.
-            # Times those at the next.
-            # Rows.
+            # A hundredth of the rows, three times as many as at the next value, and five: fewer are chance.
             at_extreme = loaded & (column == values[index])
             count = int(np.sum(at_extreme))
             if len(values) < 3 or count < max(0.01 * len(column), 3.0 * counts[inward], 5):

@@ -55,7 +55,7 @@ class Excursion:
 
     time: Array  # (T,) s
     value: Array  # (T,) m, in the direction of the largest distance; NaN where the tag was not seen
-    noise: float  # m, sd
+    noise: float  # m, at least as `roughness` has it
 
 
 def excursion_of(time: Array, xy: Array, first: int) -> Excursion:
