@@ -365,8 +365,12 @@ _LOST_WEIGHT = (
     "Gravity pulls elsewhere than [gravity] says, or the mass is another one: check direction_deg, base_angle_deg and "
     "mass_kg."
 )
-# The pull of an even beam on its clamp, as a share: a cone has 0.5, a mass at the tip 2.
-LEAST_PULL, MOST_PULL = 0.42, 2.2
+
+
+def is_of_a_beam(pull: float) -> bool:
+    """Whether a beam of the written mass may pull so much at its clamp, as a share of what an even one does: a cone has
+    0.5, a mass at the tip 2."""
+    return 0.42 < pull < 2.2
 
 
 def refuse_lost_force(problem: linear.FitProblem, estimate: MapEstimate) -> None:
@@ -392,8 +396,8 @@ def refuse_lost_force(problem: linear.FitProblem, estimate: MapEstimate) -> None
         causes = [remark.text for remark in every if remark.level == "warning"] or [f"{_LOST_FORCE}."]
         if any(np.any(one.observations.gravity) for one in problem.recordings):
             heavier, sloped = problem.layout.get(estimate.x, "mass")[:2].tolist()
-            weighs = LEAST_PULL < 1.0 + heavier + sloped / 3.0 < MOST_PULL
-            causes = [*causes, f"Or: {_LOST_WEIGHT}"] if weighs else [_LOST_WEIGHT, "Or:", *causes]
+            likely = is_of_a_beam(1.0 + heavier + sloped / 3.0)
+            causes = [*causes, f"Or: {_LOST_WEIGHT}"] if likely else [_LOST_WEIGHT, "Or:", *causes]
         raise LearningError(
             f"{'; '.join(lost)} (RMS, as tags and log say together): the log does not tell the force, and so not k(s). "
             + " ".join(causes)

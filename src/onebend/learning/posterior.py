@@ -115,7 +115,7 @@ LEANS = 4.0  # sds of gravity's written direction, beyond which it is another on
 def weight_doubts(mass: LearnedMass | None, leaning: Sequence[float]) -> tuple[str, ...]:
     """What contradicts the weight as written, given the mass after the fit and `leans`; empty as a rule."""
     doubts = []
-    if mass is not None and np.isfinite(mass.written) and not optimizer.LEAST_PULL < mass.even / mass.written < optimizer.MOST_PULL:
+    if mass is not None and np.isfinite(mass.written) and not optimizer.is_of_a_beam(mass.even / mass.written):
         doubts.append("the beam's weight and the force contradict each other")
     if max((abs(lean) for lean in leaning), default=0.0) > LEANS:
         doubts.append("gravity does not pull where [gravity] says")

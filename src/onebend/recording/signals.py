@@ -147,8 +147,8 @@ def low_pass(time: Array, values: Array, cutoff: float, *, longest_gap: float) -
 
     The gain is applied to the spectrum of the samples, less the cubic with the level and slope at their two ends, and
     their even reflection: what begins or ends on a slope is not flattened there. Irregular samples are interpolated to
-    an even grid and back. A gap longer than `longest_gap` [s] is bridged by such a cubic. Stretches more than `SEPARATE` periods apart are filtered separately; one too short to filter becomes its
-    mean."""
+    an even grid and back. A gap longer than `longest_gap` [s] is bridged by such a cubic. Stretches more than
+    `SEPARATE` periods apart are filtered separately; one too short to filter becomes its mean."""
     filtered = np.array(values, dtype=float)
     if not np.isfinite(cutoff):
         return filtered
