@@ -194,7 +194,7 @@ def bridged_gaps(time: Array, values: Array, longest_gap: float, reach: float) -
         left, right = left[time[left] >= time[gap] - reach], right[time[right] <= time[gap + 1] + reach]
         inside = np.linspace(time[gap], time[gap + 1], BRIDGE + 2)[1:-1]
         times.append(inside)
-        rows.append(cubic_between(time, values, left, right, (gap, gap + 1))(inside))
+        rows.append(cubic_between(time, values, left, right, (int(gap), int(gap) + 1))(inside))
     where = np.repeat(gaps + 1, BRIDGE)
     return np.insert(time, where, np.concatenate(times)), np.insert(values, where, np.concatenate(rows), axis=0)
 
