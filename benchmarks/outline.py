@@ -1,8 +1,9 @@
-"""k(s) from an outline, from tags, and from both: virtual pushes with effects drawn at random, by the fit and live.
+"""How reliable k(s) is from tags, from an outline, and from both: virtual pushes without effects, with one, with all.
 
-The benches are those of `benchmarks.real_bench`. A body without tags has no stiff patches. An outline is 30 points with
-white noise across it, an error that is smooth along the body and slow in time, one that grows with the bending, and
-light from one side; with its end where asked for. Shares are of places s from 0.05 to 0.9 of the push's place.
+The benches are those of `benchmarks.real_bench`: none, one at a time, or all (`small`: within the priors). A body
+without tags has no stiff patches. An outline is 30 points with white noise across it, an error that is smooth along the
+body and slow in time, one that grows with the bending, and light from one side; with its end where asked for. Shares
+are of places s from 0.05 to 0.9 of the push's place.
 """
 
 from __future__ import annotations
@@ -11,19 +12,19 @@ import argparse
 import sys
 from collections import defaultdict
 from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks import real_bench
 from benchmarks.real_bench import CELLS, LEVELS, PLACES as COUNT, bench_of
-from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ObservationError
 from onebend.lab.bench import coloured
 from onebend.lab.virtual import VirtualBench, VirtualRecording, from_base, standing, true_stiffness, virtual_recording
-from onebend.learning.posterior import stiffness_of
 from onebend.learning.start import start_of
 from onebend.live.replayed import replay
-from onebend.pipeline import learn_observed
 from onebend.recording.observe import ObserveSettings, assemble
 from onebend.recording.outline import PLACES
 from onebend.records import END_ID, POINT_ID, Array, Markers, Observations
@@ -102,7 +103,7 @@ def beside(tags: Markers, outline: Markers) -> Markers:
     )
 
 
-def observed(bench: VirtualBench, kind: str, seed: int) -> tuple[Observations, VirtualRecording]:
+def observed(kind: str, bench: VirtualBench, seed: int) -> tuple[Observations, VirtualRecording]:
     """One push, of a body without tags where it is of the outline alone."""
     if kind == "outline":
         bench = replace(bench, effects=replace(bench.effects, patch_factor=1.0))
@@ -116,69 +117,85 @@ def observed(bench: VirtualBench, kind: str, seed: int) -> tuple[Observations, V
 
 
 @dataclass(frozen=True)
-class Outcome:
+class LiveOutcome:
     """One result against its truth."""
 
     error: float  # RMS of log k
     inside: tuple[float, ...]  # share of places inside the bands of LEVELS
     width: float  # half the 95 % band of log k, median
-    trusted: bool
 
 
-def judged(stiffness: UncertainStiffness, s: Array, truth: Array, trusted: bool) -> Outcome:
-    """Its band as it is, whatever the verdict."""
+def live(cell: str, kind: str, seed: int) -> LiveOutcome:
+    """Make, observe, learn live, compare: its band as it is, whatever the verdict."""
+    bench, _ = bench_of(cell, seed)
+    seen, made = observed(kind, bench, seed)
+    s = np.linspace(0.05, 0.9 * bench.push.at_s, COUNT)
+    truth = true_stiffness(made.bench, made.motion, s).k
+    stiffness = replay(seen, start_of([seen], None), gain_sd=bench.declared.gain_sd).stiffness
     bands = [stiffness.band(s, level) for level in LEVELS]
     error = float(np.sqrt(np.mean((stiffness.log_at(s)[0] - np.log(truth)) ** 2)))
     inside = tuple(float(np.mean((truth > b.low) & (truth < b.high))) for b in bands)
-    return Outcome(error, inside, float(np.median(0.5 * np.log(bands[-1].high / bands[-1].low))), trusted)
+    return LiveOutcome(error, inside, float(np.median(0.5 * np.log(bands[-1].high / bands[-1].low))))
 
 
-def run(bench: VirtualBench, kind: str, seed: int, fits: bool) -> dict[str, Outcome]:
-    """Make, observe, learn live and as a whole, compare."""
-    seen, made = observed(bench, kind, seed)
-    s = np.linspace(0.05, 0.9 * bench.push.at_s, COUNT)
-    truth = true_stiffness(made.bench, made.motion, s).k
-    learner = replay(seen, start_of([seen], None), gain_sd=bench.declared.gain_sd)
-    out = {"live": judged(learner.stiffness, s, truth, not learner.doubts)}
-    if fits:
-        found = learn_observed(seen).posterior
-        assert found is not None
-        whole = stiffness_of(found.problem, found.optimum, found.gain_sd)
-        out["fit"] = judged(whole, s, truth, not found.doubts)
-    return out
+def print_live(cells: list[str], kinds: list[str], seeds: range) -> None:
+    """The table of what is learned live."""
+    done: dict[str, list[LiveOutcome]] = defaultdict(list)
+    for cell, kind, seed in ((c, k, s) for s in seeds for c in cells for k in kinds):
+        try:
+            done[f"{kind}: {cell}"].append(live(cell, kind, seed))
+        except (LearningError, MechanicsError, ObservationError) as wrong:
+            print(f"seed {seed}, {kind}: {wrong}", file=sys.stderr)
+    print("| learned live from | pushes | error, median / mean | inside the 50 / 80 / 95 % band | half-width |")
+    print("| --- " * 5 + "|")
+    for name, runs in done.items():
+        error = np.array([one.error for one in runs])
+        inside = " / ".join(f"{100.0 * v:.0f}" for v in np.mean([one.inside for one in runs], axis=0))
+        width = np.median([one.width for one in runs])
+        print(f"| {name} | {len(runs)} | {np.median(error):.3f} / {np.mean(error):.3f} | {inside} % | {width:.3f} |")
+
+
+def run(cell: str, seed: int) -> real_bench.Outcome:
+    """As `real_bench.run`, of a kind and its effects."""
+    return real_bench.run(cell, seed, partial(observed, cell.split(": ")[0]))
+
+
+GROUPS = {"none": ("none",), "one": tuple(c for c in CELLS if c.startswith("only")), "all": ("all", "small")}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs=2, default=(0, 20), metavar=("FIRST", "LAST"))
-    parser.add_argument("--cell", default="all", choices=CELLS, help="effects, as of benchmarks.real_bench")
+    parser.add_argument("--cells", nargs="+", default=list(CELLS), choices=CELLS, help="effects, each of every seed")
+    parser.add_argument("--share", type=int, default=1, help="take one of so many seeds of each single effect")
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
-    parser.add_argument("--live", action="store_true", help="no fits")
-    parser.add_argument("--each", action="store_true", help="a line for each push")
+    parser.add_argument("--live", action="store_true", help="learned live, no fits")
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--kept", type=Path, help="file that the runs are added to; default: one a version of the code")
     asked = parser.parse_args()
-    done: dict[tuple[str, str], list[Outcome]] = defaultdict(list)
-    for seed in range(*asked.seeds):
-        bench, _ = bench_of(asked.cell, seed)
-        for kind in asked.kinds:
-            try:
-                found = run(bench, kind, seed, not asked.live)
-            except (LearningError, MechanicsError, ObservationError) as wrong:
-                print(f"seed {seed}, {kind}: {wrong}", file=sys.stderr)
-                continue
-            for how, one in found.items():
-                done[kind, how].append(one)
-                if asked.each:
-                    print(seed, kind, how, one, file=sys.stderr, flush=True)
-    print("| from | learned | pushes | error, median / mean | inside the 50 / 80 / 95 % band | half-width | trusted |")
-    print("| --- " * 7 + "|")
-    for (kind, how), runs in done.items():
-        error = np.array([one.error for one in runs])
-        inside = " / ".join(f"{100.0 * v:.0f}" for v in np.mean([one.inside for one in runs], axis=0))
-        width, trusted = np.median([one.width for one in runs]), np.mean([one.trusted for one in runs])
-        print(
-            f"| {kind} | {how} | {len(runs)} | {np.median(error):.3f} / {np.mean(error):.3f} | {inside} % "
-            f"| {width:.3f} | {100.0 * trusted:.0f} % |"
-        )
+    if asked.live:
+        print_live(asked.cells, asked.kinds, range(*asked.seeds))
+        return
+    wanted = [
+        (f"{kind}: {cell}", seed)
+        for number, cell in enumerate(asked.cells)
+        for seed in range(*asked.seeds)
+        if not cell.startswith("only") or (seed + number) % asked.share == 0
+        for kind in asked.kinds
+        if (kind, cell) != ("outline", "only patches")
+    ]
+    every = list(real_bench.study(wanted, asked.jobs, asked.kept or real_bench.kept("outline"), run).values())
+    print(real_bench.head())
+    for kind in asked.kinds:
+        own = [one for one in every if one.cell.startswith(f"{kind}: ")]
+        for name, cells in GROUPS.items():
+            if here := [one for one in own if one.cell.split(": ")[1] in cells]:
+                print(real_bench.row(f"{kind}: {name}", here))
+    good = [one for one in every if not one.failure]
+    print(real_bench.row("all of these", every))
+    for kind in asked.kinds:
+        own = [one for one in good if one.cell.startswith(f"{kind}: ")]
+        print(f"\nFrom {kind}:\n\n{real_bench.reliability(own)}\n\n{real_bench.named_first(own)}")
 
 
 if __name__ == "__main__":

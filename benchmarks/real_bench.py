@@ -14,7 +14,7 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
@@ -34,9 +34,10 @@ from onebend.lab.random_bench import (
     only,
     random_bench,
 )
-from onebend.lab.virtual import VirtualBench, observe_virtual, true_stiffness, virtual_recording
+from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_virtual, true_stiffness, virtual_recording
+from onebend.learning.attribution import FORCE_SCALE
 from onebend.learning.posterior import Posterior, fit, stiffness_of
-from onebend.records import Array
+from onebend.records import Array, Observations
 
 IN_POSES = tuple(name for name in EFFECTS if name not in OF_THE_PICTURE)
 CELLS = ("all", "small", *(f"only {name}" for name in IN_POSES), "none")
@@ -52,6 +53,21 @@ SMALL = replace(
     gain=Chance(0.6, 0.0, 0.03),
     posture=Chance(0.5, 0.002, 0.02),
 )
+CAUSES = {  # of a bench's only effect, as the verdict names them
+    "stretch": ("stretch and shear",),
+    "relaxation": ("relaxation",),
+    "patches": ("stiff tags",),
+    "rest": ("rest shape",),
+    "inertia": ("inertia", "mass"),
+    "clamp": ("clamp that gives",),
+    "slide": ("sliding contact",),
+    "push_off": ("place of the push",),
+    "length": ("length",),
+    "tags": ("places of the tags",),
+    "gain": (FORCE_SCALE,),
+    "posture": ("posture-dependent bias",),
+    "none": (),
+}
 PLACES = 60
 LOST = 0.85  # a run of which less is inside the 95 % band and that is trusted is counted
 WIDTHS = (0.0, 0.02, 0.03, 0.05, np.inf)  # of the sd of log k, that runs are sorted by
@@ -75,6 +91,9 @@ class Outcome:
     seconds: float = float("nan")  # of the fit
     frames: int = 0
     named: tuple[str, ...] = ()  # what the verdict names, the most important first
+    sure: tuple[str, ...] = ()  # of these, what the data show clearly
+    level: float = float("nan")  # mean of log k / truth
+    gain: float = float("nan")  # log of the sensor's true gain, which shifts this
 
 
 def ranges_of(cell: str) -> EffectRanges:
@@ -95,21 +114,30 @@ def bench_of(cell: str, seed: int) -> tuple[VirtualBench, bool]:
     return replace(bench, camera=CAMERA), kind == "smooth"
 
 
-def run(cell: str, seed: int) -> Outcome:
-    """Make, observe, fit, compare."""
+def with_tags(bench: VirtualBench, seed: int) -> tuple[Observations, VirtualRecording]:
+    """One push."""
+    made = virtual_recording(bench, seed=seed)
+    return observe_virtual(made), made
+
+
+Observing = Callable[[VirtualBench, int], tuple[Observations, VirtualRecording]]
+
+
+def run(cell: str, seed: int, observed: Observing = with_tags) -> Outcome:
+    """Make, observe, fit, compare; a cell may begin with words of its own and ": "."""
     smooth = True
     try:
-        bench, smooth = bench_of(cell, seed)
-        made = virtual_recording(bench, seed=seed)
-        seen = observe_virtual(made)
+        bench, smooth = bench_of(cell.split(": ")[-1], seed)
+        seen, made = observed(bench, seed)
         began = time.perf_counter()
         found = fit([seen], gain_sd=bench.declared.gain_sd)
         seconds = time.perf_counter() - began
     except (LearningError, MechanicsError, ObservationError) as wrong:
         return Outcome(cell, seed, failure=f"{type(wrong).__name__}: {wrong}", smooth=smooth)
     s = np.linspace(0.05, 0.9 * bench.push.at_s, PLACES)
-    truth = true_stiffness(bench, made.motion, s).k
-    outcome = compared(found, s, truth, Outcome(cell, seed, smooth=smooth))
+    truth = true_stiffness(made.bench, made.motion, s).k
+    gain = float(np.log(bench.sensor.gain))
+    outcome = compared(found, s, truth, Outcome(cell, seed, smooth=smooth, gain=gain))
     return replace(outcome, seconds=seconds, frames=len(seen.time))
 
 
@@ -127,24 +155,28 @@ def compared(found: Posterior, s: Array, truth: Array, outcome: Outcome) -> Outc
         converged=found.optimum.converged,
         trusted=not found.doubts,
         named=tuple(one.name for one in found.attributions if one.matters),
+        sure=tuple(one.name for one in found.attributions if one.matters and one.sure),
+        level=float(np.mean(np.log(told.k / truth))),
     )
 
 
-def kept() -> Path:
+def kept(name: str = "real-bench") -> Path:
     """The file that runs of this very code are added to."""
     digest = hashlib.sha256()
     for source in sorted([*(ROOT / "src").rglob("*.py"), Path(__file__)]):
         digest.update(source.read_bytes())
-    return ROOT / "out" / "benchmarks" / f"real-bench-{digest.hexdigest()[:12]}.jsonl"
+    return ROOT / "out" / "benchmarks" / f"{name}-{digest.hexdigest()[:12]}.jsonl"
 
 
-def study(wanted: Sequence[tuple[str, int]], jobs: int, path: Path) -> dict[tuple[str, int], Outcome]:
+def study(
+    wanted: Sequence[tuple[str, int]], jobs: int, path: Path, run: Callable[[str, int], Outcome] = run
+) -> dict[tuple[str, int], Outcome]:
     """Do what `path` does not hold yet, and add it there."""
     done: dict[tuple[str, int], Outcome] = {}
     if path.is_file():
         for line in path.read_text(encoding="utf-8").splitlines():
             data = json.loads(line)
-            one = Outcome(**(data | {"named": tuple(data["named"]), "inside": tuple(data["inside"])}))
+            one = Outcome(**{name: tuple(v) if isinstance(v, list) else v for name, v in data.items()})
             done[one.cell, one.seed] = one
     path.parent.mkdir(parents=True, exist_ok=True)
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
@@ -195,15 +227,40 @@ def reliability(runs: Sequence[Outcome]) -> str:
     return "\n".join(lines)
 
 
-def named_first(done: Mapping[tuple[str, int], Outcome]) -> str:
+def judged(names: Sequence[str], causes: Sequence[str]) -> str:
+    """Whether the first of the `names` is one of the `causes`."""
+    return "none" if not names else "right" if names[0] in causes else "wrong"
+
+
+def named_first(runs: Sequence[Outcome]) -> str:
     """What the verdict named first, by the effect that a bench had."""
-    lines = ["| the only effect | named first, by runs |", "| --- | --- |"]
-    for cell in CELLS:
-        runs = [r for (name, _), r in done.items() if name == cell and not r.failure]
-        if runs and cell not in ("all", "small"):
-            first = Counter(r.named[0] if r.named else "nothing" for r in runs)
-            lines.append(f"| {cell.removeprefix('only ')} | {', '.join(f'{n}: {c}' for n, c in first.most_common())} |")
+    lines = [
+        "| the only effect | runs | named first: right / none / wrong | of what the data show clearly | named first |",
+        "| --- " * 5 + "|",
+    ]
+    for effect, causes in CAUSES.items():
+        here = [r for r in runs if r.cell.split(": ")[-1].removeprefix("only ") == effect and not r.failure]
+        if not here:
+            continue
+        traced = here[0].cell.startswith(("outline: ", "both: "))  # what is traced has errors on every bench
+        causes = (*causes, "outline") if traced else causes
+        each = [r.named for r in here], [r.sure for r in here]
+        said = [Counter(judged(names, causes) for names in every) for every in each]
+        shares = [" / ".join(str(count[word]) for word in ("right", "none", "wrong")) for count in said]
+        first = Counter(r.named[0] if r.named else "nothing" for r in here).most_common()
+        words = ", ".join(f"{name}: {count}" for name, count in first)
+        lines.append(f"| {effect} | {len(here)} | {shares[0]} | {shares[1]} | {words} |")
     return "\n".join(lines)
+
+
+def head() -> str:
+    """Of the table of `row`."""
+    bands = " / ".join(f"{100 * level:.0f}" for level in LEVELS)
+    return (
+        f"| effects | runs (failed) | truth inside {bands} % band [%] | identified [%] | k off, RMS, median [%] "
+        "| smooth beams [%] | sd of log k, median [%] | converged "
+        f"| trusted (with < {100 * LOST:.0f} % inside) | fit [s] |\n" + "| --- " * 10 + "|"
+    )
 
 
 def main() -> None:
@@ -219,16 +276,11 @@ def main() -> None:
     count = {cell: asked.runs if cell in ("all", "small") else asked.each for cell in cells}
     wanted = [(cell, asked.first + i) for cell in cells for i in range(count[cell])]
     done = study(wanted, asked.jobs, asked.kept or kept())
-    print(
-        f"| effects | runs (failed) | truth inside {' / '.join(f'{100 * level:.0f}' for level in LEVELS)} % band [%] "
-        "| identified [%] | k off, RMS, median [%] | smooth beams [%] | sd of log k, median [%] | converged "
-        f"| trusted (with < {100 * LOST:.0f} % inside) | fit [s] |"
-    )
-    print("| --- " * 10 + "|")
+    print(head())
     for cell in cells:
         print(row(cell, [one for (name, _), one in done.items() if name == cell]))
     every = [one for one in done.values() if not one.failure]
-    print(row("all of these", every), "", reliability(every), "", named_first(done), sep="\n")
+    print(row("all of these", every), "", reliability(every), "", named_first(every), sep="\n")
 
 
 if __name__ == "__main__":
