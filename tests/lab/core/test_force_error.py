@@ -227,3 +227,18 @@ def test_a_log_of_minutes_that_was_touched_before_and_after_the_film_is_one_of_t
     assert cleans[1] is not None
     assert cleans[1].time[-1] - cleans[1].time[0] < np.ptp(short.time) + 7.0
     np.testing.assert_allclose(cleans[1].zero, cleans[0].zero, atol=0.01 * PEAK)
+
+
+def test_a_push_that_shows_no_rest_gives_k_and_its_unknown_zero_is_no_contradiction() -> None:
+    sensor = ForceSensor(white_sd=0.003 * PEAK, bias=(0.8 * PEAK, -0.6 * PEAK))
+    made = virtual_recording(replace(BENCH, sensor=sensor, fps=30.0), seed=1)
+    kept = np.linalg.norm(made.force, axis=1) > 0.3 * PEAK
+    time = made.log.time - made.bench.clock.offset
+    logged = (time >= made.markers.time[kept][0]) & (time <= made.markers.time[kept][-1])
+    one = made.markers
+    of_frames = {name: getattr(one, name)[kept] for name in ("time", "xy", "angle", "covariance", "base_angle")}
+    log = replace(made.log, time=made.log.time[logged], force=made.log.force[logged])
+    found = fit([observe_virtual(replace(made, markers=replace(one, **of_frames), log=log))], 0.02)
+    assert found.doubts == ()
+    assert abs(float(np.mean(np.log(found.band(S).k / STIFFNESS(S))))) < 0.1
+    assert "the force log" not in {one.name for one in found.contradictions if one.sds > 0.5}
