@@ -79,6 +79,14 @@ def test_low_pass_does_not_reach_across_a_long_gap() -> None:
     assert np.allclose(low_pass(time, values, 1.0, longest_gap=0.5), values, atol=1e-9)
 
 
+def test_low_pass_keeps_the_slope_at_both_ends() -> None:
+    time = np.arange(0.3, 2.5, 0.01)  # of a push that has begun before and ends later
+    slow = np.sin(time)
+    wrong = low_pass(time, slow[:, None] + 1e-3 * noise((len(time), 1)), 2.0, longest_gap=0.1)[:, 0] - slow
+    assert np.abs(wrong).max() < 4e-3  # with level ends it is off by 0.04
+    assert np.abs(np.gradient(wrong, time)).max() < 0.05  # and by 0.9
+
+
 @pytest.mark.parametrize("gap", [0.5, 1.0, 3.0])
 def test_low_pass_keeps_what_runs_on_beyond_a_gap(gap: float) -> None:
     time = np.arange(0.0, 12.0, 0.001)

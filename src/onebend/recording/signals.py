@@ -145,10 +145,10 @@ def within_noise(column: Array) -> bool:
 def low_pass(time: Array, values: Array, cutoff: float, *, longest_gap: float) -> Array:
     """Zero-phase Butterworth low-pass (half power twice, so -6 dB, at `cutoff` [Hz]) of (N, c) `values` at `time`.
 
-    The gain is applied to the spectrum of the samples and their even reflection. Irregular samples are interpolated to
-    an even grid and back. A gap longer than `longest_gap` [s] is bridged by a cubic with the level and slope at its two
-    ends. Stretches more than `SEPARATE` periods apart are filtered separately; one too short to filter becomes its
-    mean."""
+    The gain is applied to the spectrum of the samples, less the cubic with the level and slope at their two ends, and
+    their even reflection: what begins or ends on a slope is not flattened there. Irregular samples are interpolated to
+    an even grid and back. A gap longer than `longest_gap` [s] is bridged by such a cubic. Stretches more than
+    `SEPARATE` periods apart are filtered separately; one too short to filter becomes its mean."""
     filtered = np.array(values, dtype=float)
     if not np.isfinite(cutoff):
         return filtered
@@ -163,11 +163,13 @@ def low_pass(time: Array, values: Array, cutoff: float, *, longest_gap: float) -
             filtered[rows] = np.mean(values[rows], axis=0)
             continue
         even = resampled(t, bridge, grid)
-        reflected = np.concatenate([even, even[-2:0:-1]])
+        first, last = (np.abs(grid - grid[end]) <= SIDE / cutoff for end in (0, -1))
+        slope = cubic_between(grid, even, first, last)(grid)
+        reflected = np.concatenate([even - slope, (even - slope)[-2:0:-1]])
         ratio = np.tan(np.pi * np.fft.rfftfreq(len(reflected))) / np.tan(np.pi * cutoff * dt)
         gain = flattened(1.0 / (1.0 + ratio[:, None] ** (2 * FILTER_ORDER)))
         smooth = np.fft.irfft(gain * np.fft.rfft(reflected, axis=0), len(reflected), axis=0)[: len(even)]
-        filtered[rows] = resampled(grid, smooth, time[rows])
+        filtered[rows] = resampled(grid, smooth + slope, time[rows])
     return filtered
 
 
@@ -189,19 +191,21 @@ def bridged_gaps(time: Array, values: Array, longest_gap: float, reach: float) -
     borders = np.concatenate([[-1], gaps, [len(time) - 1]])
     for before, gap, after in zip(borders, gaps, borders[2:], strict=False):
         left, right = np.arange(before + 1, gap + 1), np.arange(gap + 1, after + 1)
-        ends = [
-            line_at(time[near], values[near], at)
-            for near, at in (
-                (left[time[left] >= time[gap] - reach], time[gap]),
-                (right[time[right] <= time[gap + 1] + reach], time[gap + 1]),
-            )
-        ]
+        left, right = left[time[left] >= time[gap] - reach], right[time[right] <= time[gap + 1] + reach]
         inside = np.linspace(time[gap], time[gap + 1], BRIDGE + 2)[1:-1]
-        cubic = CubicHermiteSpline(time[gap : gap + 2], [level for level, _ in ends], [slope for _, slope in ends])
         times.append(inside)
-        rows.append(cubic(inside))
+        rows.append(cubic_between(time, values, left, right, (int(gap), int(gap) + 1))(inside))
     where = np.repeat(gaps + 1, BRIDGE)
     return np.insert(time, where, np.concatenate(times)), np.insert(values, where, np.concatenate(rows), axis=0)
+
+
+def cubic_between(
+    time: Array, values: Array, left: IntArray | BoolArray, right: IntArray | BoolArray, at: tuple[int, int] = (0, -1)
+) -> CubicHermiteSpline:
+    """The cubic from sample `at[0]` to `at[1]`; its ends and slopes are those of the lines through the samples `left`
+    and `right` of `time` (N,) and `values` (N, c)."""
+    ends = [line_at(time[near], values[near], time[i]) for near, i in zip((left, right), at, strict=True)]
+    return CubicHermiteSpline(time[list(at)], [level for level, _ in ends], [slope for _, slope in ends])
 
 
 def line_at(time: Array, values: Array, at: float) -> tuple[Array, Array]:
