@@ -26,7 +26,6 @@ from onebend.learning.linear import (
     RecordingNoise,
     data_information,
     log_k_map,
-    rest_information,
     unweighted_rows,
 )
 from onebend.learning.normal import JUMP, RHO, SPREAD, TAU, Draws, stiffness_mixture
@@ -87,7 +86,7 @@ def draw(seed: int, *, functions: int = 16, fixed: bool = False, allowances: fro
     errors = root @ rng.standard_normal((len(root), 2))
     x[layout.index["force", 0].where] = errors.ravel()
     log_error = spline_at(data, clean.time) @ errors
-    rest_noise = rest_sd(problem) * rng.standard_normal(clean.force.shape)
+    rest_noise = problem.recordings[0].error.rest_sd * rng.standard_normal(clean.force.shape)
     logged = replace(clean, force=clean.force + log_error + rest_noise)
     force = template.force.copy()
     force[data.frames] += data.error.weights @ errors
@@ -149,14 +148,6 @@ def spline_at(data: FitData, time: Array) -> Array:
     u = np.abs(held[:, None] - knots) / (knots[1] - knots[0])
     near, far = 2.0 / 3.0 - u**2 + 0.5 * u**3, (2.0 - np.minimum(u, 2.0)) ** 3 / 6.0
     return np.asarray(np.where(u < 1.0, near, far))
-
-
-def rest_sd(problem: FitProblem) -> float:
-    """N: the noise that the fit takes the log in the rests to have around its knots, from the weight it gives them."""
-    where = problem.layout.index["force", 0].where
-    information = rest_information(problem, 0).matrix[where, where]
-    weights = np.kron(problem.recordings[0].error.rest_weights, np.eye(2))
-    return float(np.sqrt(np.sum(weights**2) / np.trace(information)))
 
 
 def noisy_poses(data: FitData, layout: Layout, x: Array, rng: np.random.Generator) -> Array:

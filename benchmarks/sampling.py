@@ -24,6 +24,7 @@ from scipy.linalg import cho_factor, cho_solve
 from benchmarks.studies import bench_of, fit_from_nothing
 from onebend.lab.virtual import observe_virtual, virtual_recording
 from onebend.learning.linear import (
+    beside_tags,
     data_information,
     explained_by,
     force_shrinkage,
@@ -31,7 +32,6 @@ from onebend.learning.linear import (
     prior,
     residual_rows,
     residuals,
-    rest_information,
     solved,
 )
 from onebend.learning.posterior import Posterior
@@ -94,14 +94,15 @@ def target_of(posterior: Posterior) -> tuple[Callable[[Array], Here], Array]:
     problem, layout, best = posterior.problem, posterior.layout, posterior.optimum
     every = list(zip(problem.recordings, best.predictions, best.hyperparameters.noise, strict=True))
     rows = [residual_rows(now, noise) for _, now, noise in every]
-    before, rests = prior(problem, best.hyperparameters), rest_information(problem, 0)
+    before = prior(problem, best.hyperparameters)
+    beside = beside_tags(problem, 0, best.x).information(best.x)
     data = data_information(problem, rows, best.x, best.hyperparameters)
     precision = cho_solve((before.times(np.eye(len(best.x))), True), np.eye(len(best.x)))
 
     def target(x: Array) -> Here:
-        away, curvature = x - before.mean, precision + rests.matrix
-        slope = precision @ away + rests.matrix @ x - rests.vector
-        value = 0.5 * float(away @ precision @ away + x @ rests.matrix @ x) - float(rests.vector @ x)
+        away, curvature = x - before.mean, precision + beside.matrix
+        slope = precision @ away + beside.matrix @ x - beside.vector
+        value = 0.5 * float(away @ precision @ away + x @ beside.matrix @ x) - float(beside.vector @ x)
         for (recording, now, noise), r in zip(every, rows, strict=True):
             there: Prediction = predict(recording, layout, x, now.solved.q, now.own)
             if not np.all(there.solved.converged):

@@ -97,11 +97,6 @@ class ForceError:
         left = float(np.sum((self.rest_values - self.rest_weights @ fitted) ** 2)) / 2.0
         return max(_REST_SHARE * self.size, float(np.sqrt(left / max(len(self.rest_values) - int(rank), 1))))
 
-    @cached_property
-    def rest_gram(self) -> Array:
-        """(K, K) `W' W` of the weights W in the rests."""
-        return self.rest_weights.T @ self.rest_weights
-
     @property
     def white(self) -> float:
         """N^2 / Hz, one-sided density of the log's white noise."""

@@ -535,35 +535,37 @@ def tag_score(rows: ResidualRows, r: Array, noise: RecordingNoise) -> Array:
     return slopes.with_knots(dense[:, None], by_push[..., None])[:, 0]
 
 
-def rest_information(problem: FitProblem, number: int) -> normal.InformationForm:
-    """Log likelihood of one force log in the rests, where the true force is zero, over its recording's parameters."""
-    layout, error = problem.layout, problem.recordings[number].error
-    count = len(layout.known_to(number))
-    information, b = np.zeros((count, count)), np.zeros(count)
-    sd, values = error.rest_sd, error.rest_values
-    where = layout.columns("force", number)
-    if where is None or len(values) == 0:
-        return normal.InformationForm(information, b)
-    for axis in range(2):  # x and y in turn, alike
-        information[where, where][axis::2, axis::2] = error.rest_gram / sd**2
-    b[where] = (error.rest_weights.T @ values).ravel() / sd**2
-    return normal.InformationForm(information, b, float(np.sum(values**2)) / sd**2, values.size * float(np.log(sd)))
+@dataclass(frozen=True)
+class BesideTags:
+    """What a recording says beside its tags: numbers over their sds, by its parameters x (C,)."""
+
+    r: Array  # (N,) residuals
+    j: Array  # (N, C) derivatives of what is expected
+    log_noise: float
+
+    def information(self, x: Array) -> normal.InformationForm:
+        """Log likelihood, to first order about x."""
+        y = self.r + self.j @ x
+        return normal.InformationForm(self.j.T @ self.j, self.j.T @ y, float(y @ y), self.log_noise)
 
 
-def rest_residuals(data: FitData, layout: Layout, x: Array) -> Array:
-    """(R, 2) of the force log in the rests at parameters x (P,), over its sd there."""
-    error = data.error
-    expected = error.rest_weights @ layout.get(x, "force", data.number).reshape(-1, 2)
-    return np.asarray((error.rest_values - expected) / error.rest_sd)
-
-
-def rest_score(data: FitData, layout: Layout, x: Array) -> Array:
-    """(C,) minus half the gradient of the square of `rest_residuals`."""
-    out, where = np.zeros(len(layout.known_to(data.number))), layout.columns("force", data.number)
+def beside_tags(problem: FitProblem, number: int, x: Array) -> BesideTags:
+    """The force log in the rests, where the true force is zero, the tool in the film, and the natural frequencies, at
+    parameters x (P,)."""
+    data, layout = problem.recordings[number], problem.layout
+    mine, where, error = layout.known_to(number), layout.columns("force", number), data.error
+    r, j, sds = [], [], []
     if where is not None:
-        residuals = rest_residuals(data, layout, x)
-        out[where] = (data.error.rest_weights.T @ residuals).ravel() / data.error.rest_sd
-    return out
+        onto = np.zeros((error.rest_values.size, len(mine)))
+        onto[:, where] = np.kron(error.rest_weights, np.eye(2)) / error.rest_sd  # x and y in turn
+        j, r = [onto], [error.rest_values.ravel() / error.rest_sd - onto @ x[mine]]
+        sds = [np.full(error.rest_values.size, error.rest_sd)]
+    rows, away = tool_rows(data, layout)
+    j, r = [*j, rows], [*r, away - rows @ x[mine]]
+    for predicted in problem.predicted_frequencies(x, number):
+        sd = predicted.data.sd
+        j, r, sds = [*j, predicted.slopes[:, mine] / sd[:, None]], [*r, predicted.residuals], [*sds, sd]
+    return BesideTags(np.concatenate(r), np.concatenate(j), float(sum(np.sum(np.log(sd)) for sd in sds)))
 
 
 def tool_rows(data: FitData, layout: Layout) -> tuple[Array, Array]:
@@ -584,36 +586,12 @@ def tool_rows(data: FitData, layout: Layout) -> tuple[Array, Array]:
     return white[:, :-1], white[:, -1]
 
 
-def tool_residuals(data: FitData, layout: Layout, x: Array) -> Array:
-    """(P,) of the place of the push at parameters x (P,), over its sd in the film."""
-    rows, away = tool_rows(data, layout)
-    return np.asarray(away - rows @ x[layout.known_to(data.number)])
-
-
-def tool_score(data: FitData, layout: Layout, x: Array) -> Array:
-    """(C,) minus half the gradient of the square of `tool_residuals`."""
-    rows, away = tool_rows(data, layout)
-    return np.asarray(rows.T @ (away - rows @ x[layout.known_to(data.number)]))
-
-
-def own_information(problem: FitProblem, number: int, x: Array) -> list[normal.InformationForm]:
-    """Log likelihoods of one recording besides its tags, at parameters x (P,): rests, tool and natural frequencies."""
-    known, out = problem.layout.known_to(number), [rest_information(problem, number)]
-    rows, away = tool_rows(problem.recordings[number], problem.layout)
-    out.append(normal.InformationForm(rows.T @ rows, rows.T @ away, float(away @ away)))
-    for predicted in problem.predicted_frequencies(x, number):
-        j = predicted.slopes[:, known] / predicted.data.sd[:, None]
-        y = predicted.residuals + j @ x[known]
-        log_noise = float(np.sum(np.log(predicted.data.sd)))
-        out.append(normal.InformationForm(j.T @ j, j.T @ y, float(y @ y), log_noise))
-    return out
-
-
 def recording_information(
     problem: FitProblem, number: int, rows: ResidualRows, x: Array, noise: RecordingNoise
 ) -> normal.InformationForm:
     """Log likelihood of one recording's tags, rests, tool and frequencies."""
-    return normal.total([tag_information(rows, problem.layout, number, x, noise), *own_information(problem, number, x)])
+    beside = beside_tags(problem, number, x).information(x[problem.layout.known_to(number)])
+    return normal.total([tag_information(rows, problem.layout, number, x, noise), beside])
 
 
 def data_information(

@@ -66,10 +66,13 @@ class _Linearised:
     rows: Sequence[linear.ResidualRows]
 
     @cached_property
-    def frequency_slopes(self) -> list[Array]:
-        """(N, P) of each recording with frequencies, over their sds."""
-        here = self.problem.predicted_frequencies(self.estimate.x)
-        return [one.slopes / one.data.sd[:, None] for one in here]
+    def beside(self) -> list[linear.BesideTags]:
+        """Of each recording."""
+        return self.beside_at(self.estimate.x)
+
+    def beside_at(self, x: Array) -> list[linear.BesideTags]:
+        """Of each recording, at parameters x."""
+        return [linear.beside_tags(self.problem, number, x) for number in range(len(self.rows))]
 
     @cached_property
     def in_own_z(self) -> tuple[linear.JointInformation, linear.Prior]:
@@ -106,18 +109,9 @@ class _Linearised:
 
     def slope_at(self, x: Array, r: Sequence[Array]) -> Array:
         """(P,) as `slope`, at parameters x with residuals r, (F, R) of each recording, by the derivatives from here."""
-        gradient, layout = np.zeros(len(x)), self.problem.layout
-        every = zip(self.problem.recordings, self.rows, r, self.estimate.hyperparameters.noise, strict=True)
-        for data, rows, residual, noise in every:
-            score = (
-                linear.tag_score(rows, residual, noise)
-                + linear.rest_score(data, layout, x)
-                + linear.tool_score(data, layout, x)
-            )
-            gradient[layout.known_to(data.number)] += score
-        if self.problem.frequencies:
-            for slopes, there in zip(self.frequency_slopes, self.problem.predicted_frequencies(x), strict=True):
-                gradient += slopes.T @ there.residuals
+        gradient, layout, noise = np.zeros(len(x)), self.problem.layout, self.estimate.hyperparameters.noise
+        for i, (rows, here, there) in enumerate(zip(self.rows, self.beside, self.beside_at(x), strict=True)):
+            gradient[layout.known_to(i)] += linear.tag_score(rows, r[i], noise[i]) + here.j.T @ there.r
         return np.asarray(self.before.transposed_times(gradient) - self.before.whiten(x))
 
     def residuals_at(self, tried: MapEstimate) -> list[Array]:
@@ -129,19 +123,13 @@ class _Linearised:
         """Minus twice the log posterior at the weights from here, but for a constant; infinite without equilibrium."""
         if not all_converged(estimate.predictions):
             return np.inf
-        x, layout = estimate.x, self.problem.layout
-        swings = sum(float(np.sum(one.residuals**2)) for one in self.problem.predicted_frequencies(x))
-        if not np.isfinite(swings):
+        beside = sum(float(np.sum(one.r**2)) for one in self.beside_at(estimate.x))
+        if not np.isfinite(beside):
             return np.inf
         every = zip(self.rows, estimate.predictions, estimate.hyperparameters.noise, strict=True)
         tags = sum(_misfit(rows.root_weight * linear.residuals(p), p.own, noise) for rows, p, noise in every)
-        z = self.before.whiten(x)
-        beside = [
-            of(one, layout, x)
-            for one in self.problem.recordings
-            for of in (linear.rest_residuals, linear.tool_residuals)
-        ]
-        return float(tags + swings + z @ z + sum(float(np.sum(one**2)) for one in beside))
+        z = self.before.whiten(estimate.x)
+        return float(tags + beside + z @ z)
 
 
 def all_converged(predictions: Sequence[Prediction]) -> bool:
@@ -578,8 +566,8 @@ def _spent(problem: linear.FitProblem, estimate: MapEstimate, rows: Sequence[lin
     posterior = linear.solved(data, linear.prior(problem, hyperparameters))
 
     def of(number: int, form: normal.InformationForm) -> float:
-        others = linear.own_information(problem, number, x)
-        return float(np.sum(posterior.pair(number) * (form.matrix - sum(one.matrix for one in others))))
+        j = linear.beside_tags(problem, number, x).j
+        return float(np.sum(posterior.pair(number) * (form.matrix - j.T @ j)))
 
     return each(of, range(len(rows)), data.forms)
 

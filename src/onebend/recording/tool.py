@@ -458,13 +458,15 @@ def _leaning(tool: ToolPlace, seen: Observations) -> ToolPlace:
     """With the error of a place at which the force leans against the beam (see `LEANS`)."""
     if tool.track is None:
         return tool
-    force, out = seen.force[np.searchsorted(seen.time, tool.track.time)], tool.ends
-    height = np.linalg.norm(out, axis=1)
-    inwards, along = -np.sum(force * out, axis=1), force[:, 1] * out[:, 0] - force[:, 0] * out[:, 1]
-    steep = np.divide(along, np.abs(inwards), out=np.zeros(len(out)), where=inwards != 0.0)
-    effect = LEANS * np.clip(steep, -_STEEPEST, _STEEPEST) * height / seen.length
-    track = replace(tool.track, effects=np.column_stack([tool.track.effects, effect]))
-    return replace(tool, sd=float(np.hypot(tool.sd, effect.mean())), track=track)
+    force, height = seen.force[np.searchsorted(seen.time, tool.track.time)], np.linalg.norm(tool.ends, axis=1)
+    out = tool.ends / np.maximum(height, 1e-12)[:, None]
+    inwards = np.maximum(np.abs(np.sum(force * out, axis=1)), 1e-12)  # N
+    steep = np.clip((force[:, 1] * out[:, 0] - force[:, 0] * out[:, 1]) / inwards, -_STEEPEST, _STEEPEST)
+    noise = np.minimum(np.linalg.norm(seen.force_sd) * np.hypot(1.0, steep) / inwards, _STEEPEST)
+    way = LEANS * float(np.median(height)) / seen.length  # of one place: a single frame may show it far off
+    effects = np.column_stack([tool.track.effects, way * steep])
+    track = replace(tool.track, sd=np.hypot(tool.track.sd, way * noise), effects=effects)
+    return replace(tool, sd=float(np.hypot(tool.sd, way * steep.mean())), track=track)
 
 
 def _doubted(tool: ToolPlace, rec: Recording) -> ToolTrack | None:

@@ -15,11 +15,9 @@ from onebend.learning.linear import (
     Hyperparameters,
     RecordingNoise,
     ResidualRows,
+    beside_tags,
     data_information,
     residual_rows,
-    rest_information,
-    rest_residuals,
-    rest_score,
     unweighted_rows,
 )
 from onebend.learning.parameters import RHO, TAU, Spline, make_layout
@@ -114,7 +112,7 @@ def test_the_log_in_the_rests_shows_the_slow_error_but_for_what_the_knots_cannot
     knots = len(recording.error.knots)
     weights, values = rng.random((6, knots)), 0.01 * rng.standard_normal((6, 2))
     error = replace(recording.error, rest_weights=weights, rest_values=values)
-    told = rest_information(replace(problem, recordings=(replace(recording, error=error),)), 0)
+    rests = replace(problem, recordings=(replace(recording, error=error),))
     where = problem.layout.index["force", 0].where
 
     def minus_two_log(x: Array) -> float:
@@ -122,14 +120,13 @@ def test_the_log_in_the_rests_shows_the_slow_error_but_for_what_the_knots_cannot
         return -2.0 * float(np.sum(norm(scale=error.rest_sd).logpdf(values - slow)))
 
     one, other = 0.01 * rng.standard_normal((2, problem.layout.size))
+    here = beside_tags(rests, 0, one)
+    told = here.information(one)
     form = [x @ told.matrix @ x - 2.0 * told.vector @ x for x in (one, other)]
     assert form[0] - form[1] == pytest.approx(minus_two_log(one) - minus_two_log(other), rel=1e-9)
-    rests = replace(recording, error=error)
-    squares = [float(np.sum(rest_residuals(rests, problem.layout, x) ** 2)) for x in (one, other)]
+    squares = [float(np.sum(beside_tags(rests, 0, x).r ** 2)) for x in (one, other)]
     assert squares[0] - squares[1] == pytest.approx(form[0] - form[1], rel=1e-9)
     slope = told.vector - told.matrix @ one
-    np.testing.assert_allclose(
-        rest_score(rests, problem.layout, one), slope, rtol=1e-9, atol=1e-12 * np.max(np.abs(slope))
-    )
+    np.testing.assert_allclose(here.j.T @ here.r, slope, rtol=1e-9, atol=1e-12 * np.max(np.abs(slope)))
     whole = told.constant + 2.0 * told.log_noise + values.size * np.log(2.0 * np.pi)
     assert whole == pytest.approx(minus_two_log(np.zeros_like(one)), rel=1e-9)

@@ -25,7 +25,7 @@ from onebend.recording.tool import (
     tool_checked,
     tool_remarks,
 )
-from onebend.records import ToolTrack
+from onebend.records import Array, ToolTrack
 from tests.made_up import observations
 from tests.recording.filmed import LENGTH, recording
 from tests.recording.tool.scenes import (
@@ -233,6 +233,27 @@ def test_a_tool_whose_force_leans_may_act_beside_its_end() -> None:
     lever = 0.01 / o.length / np.sqrt(3.0)
     np.testing.assert_allclose(np.abs(checked.effects[:, 1]), [0.0, lever, lever], atol=1e-12)
     assert checked.effects[1, 1] == pytest.approx(-checked.effects[2, 1])
+
+
+def test_one_frame_does_not_tell_how_all_forces_lean() -> None:
+    """An end that one frame shows far off changes nothing; a force within its noise leans either way."""
+    o = replace(observations(), force_sd=np.full(2, 0.1))
+    track = ToolTrack(o.time[:4], np.ones(4), np.full(4, 0.01), np.zeros((4, 1)))
+    rec, ends = replace(recording(), push=PushEntry(at=1.0)), np.tile([0.0, -0.01], (4, 1))
+    force = np.zeros_like(o.force)
+    force[:4] = [[10.0, 10.0], [10.0, 10.0], [10.0, 10.0], [0.0, 0.01]]
+
+    def checked(ends: Array) -> ToolTrack:
+        tool = ToolPlace(1.0, 0.02, 0.007, False, 1.0, "", track, ends)
+        found = tool_checked(rec, replace(o, force=force), np.zeros(len(o.time)), lambda *_: tool).tool
+        assert found is not None
+        return found
+
+    usual, far = checked(ends), checked(ends * np.array([1.0, 1.0, 3.0, 1.0])[:, None])
+    np.testing.assert_allclose(far.effects[:, 1], usual.effects[:, 1])
+    lever = 0.01 / o.length / np.sqrt(3.0)
+    np.testing.assert_allclose(usual.sd[:3], np.hypot(0.01, 0.02 * lever))
+    assert usual.sd[3] == pytest.approx(np.hypot(0.01, 2.0 * lever))
 
 
 def test_medians_are_those_of_numpy() -> None:
