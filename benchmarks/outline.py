@@ -32,6 +32,7 @@ from onebend.records import END_ID, POINT_ID, Array, Markers, Observations
 WHITE, SLOW, GROWS, LIGHT, END = 2e-5, 3e-5, 4e-5, 1e-4, 2e-4  # m, one sd
 SLOW_TIME, TERMS = 1.0, 6  # s; Legendre polynomials along the body
 KINDS = ("tags", "outline", "both")
+CUT = 0.3  # of the largest force: with less, film and log of the kind "cut" show nothing
 
 
 def poses_at(made: VirtualRecording, s: Array) -> Array:
@@ -103,13 +104,26 @@ def beside(tags: Markers, outline: Markers) -> Markers:
     )
 
 
+def cut(made: VirtualRecording) -> VirtualRecording:
+    """Its tags and its log from where the push has begun to where it has not ended: neither shows a rest."""
+    size, one, logged = np.linalg.norm(made.force, axis=1), made.markers, made.log.time - made.bench.clock.offset
+    kept = size > CUT * size.max()
+    of_frames = {name: getattr(one, name)[kept] for name in ("time", "xy", "angle", "covariance", "base_angle")}
+    rows = (logged >= one.time[kept][0]) & (logged <= one.time[kept][-1])
+    log = replace(made.log, time=made.log.time[rows], force=made.log.force[rows])
+    return replace(made, markers=replace(one, **of_frames), log=log)
+
+
 def observed(kind: str, bench: VirtualBench, seed: int) -> tuple[Observations, VirtualRecording]:
     """One push, of a body without tags where it is of the outline alone."""
     if kind == "outline":
         bench = replace(bench, effects=replace(bench.effects, patch_factor=1.0))
     made = virtual_recording(bench, seed=seed)
     rec, markers = made.recording, made.markers
-    if kind != "tags":
+    if kind == "cut":
+        made = cut(made)
+        markers = made.markers
+    elif kind != "tags":
         outline = outline_of(made, np.random.default_rng([seed, 5]))
         markers = beside(markers, outline) if kind == "both" else outline
         rec = rec if kind == "both" else replace(rec, tags=replace(rec.tags, on_beam=()))
@@ -168,7 +182,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs=2, default=(0, 20), metavar=("FIRST", "LAST"))
     parser.add_argument("--cells", nargs="+", default=list(CELLS), choices=CELLS, help="effects, each of every seed")
     parser.add_argument("--share", type=int, default=1, help="take one of so many seeds of each single effect")
-    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=(*KINDS, "cut"), help="cut: tags, no rest")
     parser.add_argument("--live", action="store_true", help="learned live, no fits")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--kept", type=Path, help="file that the runs are added to; default: one a version of the code")
