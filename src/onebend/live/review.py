@@ -135,7 +135,7 @@ def review(
         markers = _markers_in(seen)
         log = log_of(seen.recording, seen.rows)
         few = with_angles(records.of_markers(markers, records.read_before_fit(markers)))
-        moved = bool(find_contact(few, settings=observing.contact).loaded.any())
+        moved = bool(find_contact(few).loaded.any())
         if not moved:  # nothing else can be known yet
             return Reviewed(seen.until, NO_PUSH, remarks=markers.remarks)
         observed = observe_markers(seen.recording, markers, log, replace(observing, check_force=False))

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpotrf, dtbtrs, dtrtrs
 from scipy.ndimage import uniform_filter1d
 
-from onebend.recording.clock_features import FEWEST, ClockSettings, FilmFeatures, Track, lagging, resting
+from onebend.recording.clock_features import FEWEST, HOLD, FilmFeatures, Track, lagging, resting
 from onebend.recording.force_noise import LEAST, TINY, first_guess, likeliest_noise
 from onebend.recording.signals import outliers, step
 from onebend.records import Array, ForceLog, ForceNoise, IntArray
@@ -80,15 +80,16 @@ def thinned(rows: BinnedLog, rate: float) -> BinnedLog:
     return BinnedLog(time, force, size * rows.width, rows.largest)
 
 
-def compared_rows(
-    film: FilmFeatures, log: ForceLog, within: tuple[float, float], settings: ClockSettings
-) -> BinnedLog | None:
+MOST_ROWS, SLOWEST = 250, 5.0  # of the log, after averaging; and a second, at least
+
+
+def compared_rows(film: FilmFeatures, log: ForceLog, within: tuple[float, float]) -> BinnedLog | None:
     """The log's rows that the film may cover at offsets `within` [s]; None where they are too few, or nothing moves."""
     if not 0.0 < film.rate < np.inf:
         return None
     span = (film.time[0] + within[0], film.time[-1] + within[1])
-    highest_rate = settings.most_rows / float(np.ptp(film.time) + settings.hold)
-    rows = binned(log, max(8 * film.rate, settings.slowest), span, highest_rate)
+    highest_rate = MOST_ROWS / float(np.ptp(film.time) + HOLD)
+    rows = binned(log, max(8 * film.rate, SLOWEST), span, highest_rate)
     return rows if len(rows.time) >= FEWEST and rows.largest > 0 else None
 
 
@@ -415,9 +416,9 @@ LAG_REACH, MARGIN = 1.0, 0.1  # offsets compared: from this many lags before the
 LAGS_APART, OF_LAG = 0.05, 0.1  # s between them, or this share of the lag where that is more
 
 
-def find_lag(film: FilmFeatures, log: ForceLog, offset: float, settings: ClockSettings) -> float | None:
+def find_lag(film: FilmFeatures, log: ForceLog, offset: float) -> float | None:
     """s, the lag (first-order) of the sensor that wrote `log`, where it is certain. `offset` [s]: the clock's."""
-    rows = compared_rows(film, log, (offset - LAG_REACH * SLOW[-1] - MARGIN, offset + MARGIN), settings)
+    rows = compared_rows(film, log, (offset - LAG_REACH * SLOW[-1] - MARGIN, offset + MARGIN))
     if rows is None or not film.tracks:
         return None
     rested = resting(film.tracks[0])

@@ -9,24 +9,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PPoly
 
 from onebend.recording.force_noise import LoadChange, load_changes
-from onebend.recording.signals import MAD_TO_SD, bandwidth, bridged, from_clamp, runs, step
+from onebend.recording.signals import LONG_GAP, MAD_TO_SD, bandwidth, bridged, from_clamp, runs, step
 from onebend.records import Array, BoolArray, IntArray, Markers
-
-
-@dataclass(frozen=True)
-class ClockSettings:
-    """How the offset is searched."""
-
-    margin: float = 2.0  # s, searched beyond the stated offset and its uncertainty
-    corrections: tuple[float, ...] = (0.01, 0.001)  # prior sds, tried in turn, of what corrects the levers
-    most_rows: int = 250  # of the log, after averaging
-    most_frames: int = 4000  # of the film; where there are more, neighbours are averaged: some sixteen a row are left
-    sharp_rows: int = 120  # of these, for the model by the spans' moments
-    slowest: float = 5.0  # rows per second at least
-    longest_gap: float = 0.25  # s, a marker missing longer is not interpolated
-    steps: float = 0.3  # of the largest force: sd of a log's error that changes where the load begins, reverses, ends
-    hold: float = 2.0  # s before (after) the film for which a beam at rest in its first (last) frames stays so
-
 
 # Features on which the clock search regresses the force:
 # - Levers: the moment of the force about the middle of a span is proportional to the span's turn. So F = sum_i k_i f_i
@@ -37,6 +21,10 @@ class ClockSettings:
 # - Moments: the turn of a span is `F . integral of w(s) a(s) ds` with w = 1 / k and a the lever of a unit force about
 #   s, exact for a beam that moves slowly. Of w, the mean over the span and the slope are used.
 
+CORRECTIONS = (0.01, 0.001)  # prior sds, tried in turn, of what corrects the levers
+MOST_FRAMES = 4000  # of the film; where there are more, neighbours are averaged: some sixteen a row are left
+STEPS = 0.3  # of the largest force: sd of a log's error that changes where the load begins, reverses, ends
+HOLD = 2.0  # s before (after) the film for which a beam at rest in its first (last) frames stays so
 FREE = 10.0  # prior sd of the log's bias and of a stiffness, per largest force: free
 RIDGE = 0.01  # of the longest lever squared
 SHORTEST_SPAN = 0.05  # of the beam: a shorter span between a tag and the push does not count
@@ -102,19 +90,19 @@ class FilmFeatures:
     moments: Moments | None
 
 
-def film_features(markers: Markers, push_s: float | None, settings: ClockSettings) -> FilmFeatures:
+def film_features(markers: Markers, push_s: float | None) -> FilmFeatures:
     """The features of the markers; without levers and moments where the place of the push `push_s` is not known."""
     rate = motion_rate(markers)
-    markers = averaged(markers, settings.most_frames)
-    seen = gapless(markers, settings)
+    markers = averaged(markers, MOST_FRAMES)
+    seen = gapless(markers)
     if seen is None or seen.covered.sum() < FEWEST:
         return FilmFeatures(markers.time, rate, (), None)
     polynomials, turns = monomials(seen.xy, seen.angle), None if push_s is None else levers(seen, push_s)
     sets = [regressors(polynomials, None)]
     if turns is not None and turns.shape[-1]:
-        sets = [*(regressors(scale * polynomials, turns) for scale in settings.corrections), *sets]
+        sets = [*(regressors(scale * polynomials, turns) for scale in CORRECTIONS), *sets]
     tracks = [seen.track(values) for values in sets]
-    with_load = np.concatenate([sets[0], load_errors(seen, settings.steps)], axis=2)
+    with_load = np.concatenate([sets[0], load_errors(seen)], axis=2)
     tracks.append(replace(seen.track(with_load), doubt=LOAD_DOUBT))
     return FilmFeatures(markers.time, rate, tuple(tracks), None if push_s is None else make_moments(seen, push_s))
 
@@ -169,9 +157,9 @@ class GaplessMarkers:
         return Track(spline.antiderivative(), self.covered, self.time, self.before, self.after)
 
 
-def gapless(markers: Markers, settings: ClockSettings) -> GaplessMarkers | None:
-    """The markers; None where none is seen. A beam at rest at an end of the film stays so for `settings.hold`."""
-    used, covered = lasting(markers, settings.longest_gap)
+def gapless(markers: Markers) -> GaplessMarkers | None:
+    """The markers; None where none is seen. A beam at rest at an end of the film stays so for `HOLD`."""
+    used, covered = lasting(markers)
     if not used.any():
         return None
     markers, count = without_jumps(markers), len(markers.time)
@@ -179,14 +167,14 @@ def gapless(markers: Markers, settings: ClockSettings) -> GaplessMarkers | None:
     angle = bridged(markers.time, markers.angle[:, used])
     places = from_clamp(markers.s[used], flat.reshape(count, -1, 2), angle)
     ends = (slice(0, STILL), slice(-STILL, None))
-    before, after = (settings.hold if is_still(flat, rows) else 0.0 for rows in ends)
+    before, after = (HOLD if is_still(flat, rows) else 0.0 for rows in ends)
     return GaplessMarkers(markers.time, *places, covered, before, after)
 
 
 SPARED = 0.1  # of all frames
 
 
-def lasting(markers: Markers, longest_gap: float) -> tuple[BoolArray, BoolArray]:
+def lasting(markers: Markers) -> tuple[BoolArray, BoolArray]:
     """(m,) the markers with few frames in long gaps, at most `SPARED` more than the fewest, and (T,) the frames where
     none of these has a long gap: a hand that passes over the beam costs some frames, and no marker."""
     missing = ~(np.isfinite(markers.xy).all(axis=-1) & np.isfinite(markers.angle))
@@ -194,7 +182,7 @@ def lasting(markers: Markers, longest_gap: float) -> tuple[BoolArray, BoolArray]
     for i, column in enumerate(missing.T):
         for start, stop in runs(column):
             edge = start == 0 or stop == len(column)
-            if edge or markers.time[stop] - markers.time[start - 1] > longest_gap:
+            if edge or markers.time[stop] - markers.time[start - 1] > LONG_GAP:
                 long[start:stop, i] = True
     frames_missing = long.sum(axis=0)
     used = (frames_missing <= frames_missing.min() + SPARED * len(long)) & (frames_missing < len(long))
@@ -231,15 +219,15 @@ def regressors(polynomials: Array, turns: Array | None) -> Array:
     return np.concatenate(columns + ([] if turns is None else [FREE * turns]), axis=2)
 
 
-def load_errors(seen: GaplessMarkers, size: float) -> Array:
-    """(T, 2, p) features of an error of the log that changes with the load; `size`: prior sd, per largest force."""
+def load_errors(seen: GaplessMarkers) -> Array:
+    """(T, 2, p) features of an error of the log that changes with the load."""
     ramps = [
         np.clip(PARTS * change.fraction(seen.time) - i, 0.0, 1.0)
         for change in changes_of_load(seen)
         for i in range(PARTS)
     ]
     ramp = np.reshape(ramps, (len(ramps), len(seen.time))).T
-    return np.asarray((size / np.sqrt(PARTS) * ramp[:, None, :, None] * np.eye(2)[:, None]).reshape(len(ramp), 2, -1))
+    return np.asarray((STEPS / np.sqrt(PARTS) * ramp[:, None, :, None] * np.eye(2)[:, None]).reshape(len(ramp), 2, -1))
 
 
 def changes_of_load(seen: GaplessMarkers) -> list[LoadChange]:

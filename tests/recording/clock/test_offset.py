@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from onebend.recording import clock_features
 from onebend.recording.clock import fit_clock
 from onebend.recording.clock_evidence import fit_noise, linear_model, log_evidence, noise_factor
-from onebend.recording.clock_features import ClockSettings, GaplessMarkers, averaged, levers
+from onebend.recording.clock_features import GaplessMarkers, averaged, levers
 from onebend.recording.force_noise import TimeSpans, covariance
 from onebend.recording.signals import from_clamp
 from onebend.records import ForceNoise
@@ -155,14 +156,12 @@ def test_banded_covariance_is_the_dense_one(white: float) -> None:
     assert factor.log_root == pytest.approx(0.5 * np.linalg.slogdet(dense)[1], rel=1e-10)
 
 
-def test_film_of_very_many_frames_is_averaged_and_tells_the_same() -> None:
+def test_film_of_very_many_frames_is_averaged_and_tells_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     pushed = Pushed(seed=25, film=8.0)
     markers = pushed.markers()
-    most = len(markers.time) // 2 + 1
-    whole, fewer = (
-        fit_clock(markers, pushed.log(), 250.0, 2.0, settings=ClockSettings(most_frames=number)).clock
-        for number in (4000, most)
-    )
+    whole = fit_clock(markers, pushed.log(), 250.0, 2.0).clock
+    monkeypatch.setattr(clock_features, "MOST_FRAMES", len(markers.time) // 2 + 1)
+    fewer = fit_clock(markers, pushed.log(), 250.0, 2.0).clock
     for clock in (whole, fewer):
         assert clock.offset == pytest.approx(pushed.offset, abs=2.5 * clock.sd)
     assert fewer.sd == pytest.approx(whole.sd, rel=0.5)
