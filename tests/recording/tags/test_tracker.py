@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from onebend.errors import ObservationError
-from onebend.recording.tag_finder import Finder, Sighting
+from onebend.recording.tag_finder import Finder
 from onebend.recording.tags import LOOK_EVERY, TrackedFrame, Tracker, track_block
 from onebend.recording.video import FilmFrame
 from onebend.records import Array
