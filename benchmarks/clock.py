@@ -19,7 +19,7 @@ from benchmarks.studies import bench_of
 from benchmarks.truth import RECORDINGS, Truth, read_truth
 from onebend.lab.virtual import virtual_recording
 from onebend.recording.camera import measure_markers
-from onebend.recording.clock_evidence import fit_noise, linear_model
+from onebend.recording.clock_evidence import LinearModel, fit_noise
 from onebend.recording.entries import Recording
 from onebend.recording.folder import read_recording
 from onebend.recording.force import (
@@ -120,8 +120,8 @@ def bound(rec: Recording, log: ForceLog, truth: Truth, offset: float, rate: floa
         ],
         axis=1,
     )
-    constant = np.zeros((len(at), 2, 2)) + 10 * np.eye(2)
-    model = fit_noise(at, linear_model(constant, noise), first_guess(noise, 1 / rate))
+    constant = LinearModel(np.full((len(at), 1), 10.0), 1, noise)
+    model = fit_noise(at, constant, first_guess(noise, 1 / rate))
     root = np.linalg.cholesky(covariance(model, TimeSpans.at(at)))
     step = 0.5 / rate
     slope = (true_at(truth, at - offset + step) - true_at(truth, at - offset - step)) / (2 * step)

@@ -42,11 +42,14 @@ LOAD_DOUBT = 0.05  # s, sd of the offset from not knowing when the log's error c
 class Track:
     """Features in time, to be averaged over any span."""
 
-    integral: PPoly  # antiderivative of the features, (2 axes, p)
+    integral: PPoly  # antiderivative of the features, (...)
     covered: BoolArray  # (T,) frames whose features are known
     time: Array  # (T,) s, video clock
     before: float  # s before the film for which its first frames are taken to hold
     after: float  # s after the film for which its last frames are taken to hold
+    # Of features (c,) for the regression so many tell the force along either axis by a coefficient of its own; behind
+    # them stand what the others tell of it along x, and then along y, by one coefficient for both.
+    own: int = 0
     doubt: float = 0.0  # s, sd of an offset found by it, beside what its evidence says
 
     @property
@@ -55,7 +58,7 @@ class Track:
         return float(self.time[-1] - self.time[0])
 
     def mean(self, centre: Array, width: float) -> Array:
-        """(N, 2, p) features averaged over `width` [s] around every `centre`; NaN where the film does not cover it."""
+        """(N, ...) features averaged over `width` [s] around every `centre`; NaN where the film does not cover it."""
         first_centre, last_centre = self.time[0] + width / 2, self.time[-1] - width / 2
         outside = (centre < first_centre - self.before) | (centre > last_centre + self.after)
         centre_held = np.where(outside, centre, np.clip(centre, first_centre, last_centre))
@@ -97,13 +100,14 @@ def film_features(markers: Markers, push_s: float | None) -> FilmFeatures:
     seen = gapless(markers)
     if seen is None or seen.covered.sum() < FEWEST:
         return FilmFeatures(markers.time, rate, (), None)
-    polynomials, turns = monomials(seen.xy, seen.angle), None if push_s is None else levers(seen, push_s)
-    sets = [regressors(polynomials, None)]
-    if turns is not None and turns.shape[-1]:
-        sets = [*(regressors(scale * polynomials, turns) for scale in CORRECTIONS), *sets]
-    tracks = [seen.track(values) for values in sets]
-    with_load = np.concatenate([sets[0], load_errors(seen)], axis=2)
-    tracks.append(replace(seen.track(with_load), doubt=LOAD_DOUBT))
+    polynomials, bias = monomials(seen.xy, seen.angle), np.full((len(seen.time), 1), FREE)
+    with_load = seen.track(np.hstack([bias, polynomials, load_errors(seen)]))
+    tracks = [seen.track(np.hstack([bias, polynomials])), replace(with_load, doubt=LOAD_DOUBT)]
+    tracks = [replace(one, own=one.integral.c.shape[-1]) for one in tracks]
+    if push_s is not None and (turns := levers(seen, push_s)).shape[-1]:
+        pairs = FREE * turns.reshape(len(turns), -1)
+        both = [seen.track(np.hstack([bias, scale * polynomials, pairs])) for scale in CORRECTIONS]
+        tracks = [*(replace(one, own=1 + polynomials.shape[1]) for one in both), *tracks]
     return FilmFeatures(markers.time, rate, tuple(tracks), None if push_s is None else make_moments(seen, push_s))
 
 
@@ -212,22 +216,15 @@ def is_still(moved: Array, rows: slice) -> bool:
     return bool(np.all(change < np.maximum(2e-3 * np.ptp(moved, axis=0).max(), 2 * noise)))
 
 
-def regressors(polynomials: Array, turns: Array | None) -> Array:
-    """(T, 2, p) features of the force: a bias and `polynomials` (T, q) for each axis, and `turns` of `levers`."""
-    per_axis = np.concatenate([np.full((len(polynomials), 1), FREE), polynomials], axis=1)
-    columns = [np.stack([per_axis, 0 * per_axis], axis=1), np.stack([0 * per_axis, per_axis], axis=1)]
-    return np.concatenate(columns + ([] if turns is None else [FREE * turns]), axis=2)
-
-
 def load_errors(seen: GaplessMarkers) -> Array:
-    """(T, 2, p) features of an error of the log that changes with the load."""
+    """(T, p) features of an error of the log that changes with the load."""
     ramps = [
         np.clip(PARTS * change.fraction(seen.time) - i, 0.0, 1.0)
         for change in changes_of_load(seen)
         for i in range(PARTS)
     ]
     ramp = np.reshape(ramps, (len(ramps), len(seen.time))).T
-    return np.asarray((STEPS / np.sqrt(PARTS) * ramp[:, None, :, None] * np.eye(2)[:, None]).reshape(len(ramp), 2, -1))
+    return np.asarray(STEPS / np.sqrt(PARTS) * ramp)
 
 
 def changes_of_load(seen: GaplessMarkers) -> list[LoadChange]:
