@@ -10,7 +10,7 @@ import pytest
 from onebend.recording import clock_features
 from onebend.recording.clock import fit_clock
 from onebend.recording.clock_evidence import LinearModel, fit_noise, log_evidence, noise_factor
-from onebend.recording.clock_features import GaplessMarkers, averaged, levers
+from onebend.recording.clock_features import GaplessMarkers, levers, turning_spans
 from onebend.recording.force_noise import TimeSpans, covariance
 from onebend.recording.signals import from_clamp
 from onebend.records import ForceNoise
@@ -156,7 +156,7 @@ def test_banded_covariance_is_the_dense_one(white: float) -> None:
     assert factor.log_root == pytest.approx(0.5 * np.linalg.slogdet(dense)[1], rel=1e-10)
 
 
-def test_film_of_very_many_frames_is_averaged_and_tells_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_film_of_very_many_frames_is_thinned_and_tells_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     pushed = Pushed(seed=25, film=8.0)
     markers = pushed.markers()
     whole = fit_clock(markers, pushed.log(), 250.0, 2.0).clock
@@ -165,18 +165,6 @@ def test_film_of_very_many_frames_is_averaged_and_tells_the_same(monkeypatch: py
     for clock in (whole, fewer):
         assert clock.offset == pytest.approx(pushed.offset, abs=2.5 * clock.sd)
     assert fewer.sd == pytest.approx(whole.sd, rel=0.5)
-
-
-def test_averaged_frames_are_missing_where_half_of_their_neighbours_are() -> None:
-    markers = Pushed().markers()
-    xy = markers.xy.copy()
-    xy[0, 0], xy[4:6, 0] = np.nan, np.nan
-    found = averaged(replace(markers, xy=xy), len(markers.time) // 4 + 1)
-    assert len(found.time) == len(markers.time) // 4
-    np.testing.assert_allclose(found.time[1], markers.time[4:8].mean())
-    np.testing.assert_allclose(found.xy[0, 0], xy[1:4, 0].mean(axis=0))
-    assert np.isnan(found.xy[1, 0]).all()
-    assert averaged(markers, len(markers.time)) is markers
 
 
 def test_noise_is_recovered() -> None:
@@ -199,7 +187,7 @@ def test_filtered_share_of_the_coloured_noise() -> None:
 def test_levers_hold_the_true_force() -> None:
     part, xy, angle = table()
     places, seen = from_clamp(np.array([1 / 3, 2 / 3, 1.0]), xy, angle), np.ones(len(xy), dtype=bool)
-    features = levers(GaplessMarkers(np.arange(len(xy)) / 30.0, *places, seen, 0.0, 0.0), 1.0)
+    features = levers(turning_spans(GaplessMarkers(np.arange(len(xy)) / 30.0, *places, seen, 0.0, 0.0), 1.0))
     force = force_at(part)
     flat = features.reshape(-1, features.shape[-1])
     told = flat @ np.linalg.lstsq(flat, force.reshape(-1), rcond=None)[0]
