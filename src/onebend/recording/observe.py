@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -214,20 +214,9 @@ def _assembled(
         clean_force=clean,
         remarks=(*remarks, *implausible, *drop_remarks),
     )
-    loads = LoadsAtFrames(time, gravity, force, push_s, loaded)
     force_sd = np.zeros(2) if clean is None else clean.noise_sd
-    return observations_of(rec, source, in_frame, rest, loads, force_sd, use)
-
-
-@dataclass(frozen=True)
-class LoadsAtFrames:
-    """The loads on the beam in every frame, on the log's clock."""
-
-    time: records.Array  # (T,) s
-    gravity: records.Array  # (T, 2) m/s^2
-    force: records.Array  # (T, 2) N, NaN where the log has no row
-    push_s: records.Array  # (T,)
-    loaded: records.BoolArray  # (T,)
+    loads = {"time": time, "gravity": gravity, "force": force, "push_s": push_s, "loaded": loaded}
+    return observations_of(rec, source, in_frame, rest, force_sd, use, **loads)
 
 
 def observations_of(
@@ -235,11 +224,12 @@ def observations_of(
     source: records.Source,
     markers: records.Markers,
     rest: RestShape,
-    loads: LoadsAtFrames,
     force_sd: records.Array,
     use: records.BoolArray,
+    **loads: Any,
 ) -> records.Observations:
-    """The frames `use` (T,) of what was read, in one record."""
+    """The frames `use` (T,) of what was read, in one record; `loads`: fields of it with a row a frame."""
+    of_frames = loads | {name: getattr(markers, name) for name in ("xy", "angle", "covariance")}
     return records.Observations(
         source=source,
         stated=stated.stated_in(rec),
@@ -247,14 +237,11 @@ def observations_of(
         frame=np.flatnonzero(use).astype(np.int64),
         tag_id=markers.tag_id,
         marker_s=markers.s,
-        xy=markers.xy[use],
-        angle=markers.angle[use],
-        covariance=markers.covariance[use],
         force_sd=force_sd,
         rest_xy=rest.xy,
         rest_angle=rest.angle,
         rest_covariance=rest.covariance,
         by_camera=None if markers.by_camera is None else markers.by_camera[use],
         traced=markers.traced,
-        **{name: values[use] for name, values in vars(loads).items()},
+        **{name: values[use] for name, values in of_frames.items()},
     )

@@ -117,24 +117,20 @@ def track_block(
 def uneven(tracks: Array, searched: BoolArray, phase: IntArray, step: int) -> IntArray:
     """Rows of `tracks` (T, m, 4, 2) in the middle between rows `step` apart, of which `phase` (T,) is 0, that the tags
     do not pass evenly. Rows beside what was not `searched` (T,) are passed evenly."""
-    half, centre = step // 2, tracks.mean(axis=2)
-    bent = np.zeros(len(tracks))
-    for t in np.flatnonzero(searched & (phase == 0)).tolist():
-        sides = [u for u in (t - step, t + step) if 0 <= u < len(tracks)]
-        if len(sides) < 2 or not searched[sides].all():
-            continue
-        change = np.linalg.norm(centre[t - step] - 2.0 * centre[t] + centre[t + step], axis=-1)
-        shown = np.isfinite(centre[[t - step, t, t + step]]).all(axis=-1)
-        comes_or_goes = shown.any(axis=0) != shown.all(axis=0)
-        bent[t] = np.inf if comes_or_goes.any() else np.nan_to_num(change).max()
-    out = []
-    for t in np.flatnonzero(phase == half).tolist():
-        sides = [u for u in (t - half, t + half) if 0 <= u < len(tracks)]
-        around = [u for u in (t - half - step, *sides, t + half + step) if 0 <= u < len(tracks)]
-        # px by which a tag's way may bend between searched frames; an eighth of it is off halfway.
-        if searched[sides].all() and bent[around].max() > 0.5:
-            out.append(t)
-    return np.array(out, dtype=np.int64)
+    half, centre, beyond = step // 2, tracks.mean(axis=2), 2 * step
+    rows = np.flatnonzero(searched & (phase == 0))
+    known = np.pad(searched, beyond)
+    rows = rows[known[beyond + rows - step] & known[beyond + rows + step]]
+    near = centre[[rows - step, rows, rows + step]]  # (3, n, m, 2)
+    shown = np.isfinite(near).all(axis=-1)
+    comes_or_goes = (shown.any(axis=0) != shown.all(axis=0)).any(axis=-1)
+    change = np.nan_to_num(np.linalg.norm(near[0] - 2.0 * near[1] + near[2], axis=-1)).max(axis=-1)
+    bent, known = np.zeros(len(known)), np.pad(searched, beyond, constant_values=True)
+    bent[beyond + rows] = np.where(comes_or_goes, np.inf, change)
+    middle = np.flatnonzero(phase == half)
+    around = beyond + middle + np.array([[-half - step], [-half], [half], [half + step]])
+    # px by which a tag's way may bend between searched frames; an eighth of it is off halfway.
+    return np.asarray(middle[known[around[1:3]].all(axis=0) & (bent[around].max(axis=0) > 0.5)])
 
 
 def follow(
@@ -257,8 +253,8 @@ def detect_tags(
         return blocks[-1]
 
     with ThreadPoolExecutor(threads) as pool, ThreadPoolExecutor(1) as in_turn:
-        tracked = in_order(in_turn, follow_tags, in_blocks(read_frames(video, keep), BLOCK), ahead=1)
-        for _ in track(progress, "Finding the tags", by_frame(tracked), frame_count(video)):
+        frames = track(progress, "Finding the tags", read_frames(video, keep), frame_count(video))
+        for _ in in_order(in_turn, follow_tags, in_blocks(frames, BLOCK), ahead=1):
             pass
     return summary(video, tags, tag_id, blocks)
 
@@ -291,13 +287,6 @@ def in_order(
             yield waiting.popleft().result()
     while waiting:
         yield waiting.popleft().result()
-
-
-def by_frame(blocks: Iterable[BlockTracks]) -> Iterator[BlockTracks | None]:
-    """Each block once, then None for each further frame in it: one item per frame, for the progress."""
-    for block in blocks:
-        yield block
-        yield from [None] * (len(block.time) - 1)
 
 
 def summary(video: VideoEntry, tags: TagsEntry, tag_id: list[int], blocks: Sequence[BlockTracks]) -> Detections:
