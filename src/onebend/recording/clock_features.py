@@ -258,7 +258,7 @@ def turning_spans(seen: GaplessMarkers, push_s: float) -> Spans:
         for i, place in enumerate(s[spans] + 0.5 * (node + 1.0) * (ends - s[spans])):
             lever[:, :, i] += share * np.array([1.0, node])[:, None, None] * left_of(push - along(xy, angle, s, place))
     whole = int(np.sum(s[spans + 1] <= push_s + SHORTEST_SPAN))
-    return Spans(turn, *lever, left_of(unit(angle[:, 0] + np.diff(angle, axis=1) @ beside)), whole)
+    return Spans(turn, lever[0], lever[1], left_of(unit(angle[:, 0] + np.diff(angle, axis=1) @ beside)), whole)
 
 
 def levers(spans: Spans) -> Array:

@@ -17,7 +17,7 @@ from onebend.recording.folder import read_recording
 from onebend.recording.force import check_pace, read_log, to_beam
 from onebend.recording.observe import FEWEST_FRAMES, observe
 from onebend.recording.poses import read_loads, read_points
-from onebend.recording.preview import Preview, bent, displacement, look_at
+from onebend.recording.preview import Preview, bent, look_at, moved
 from onebend.recording.signals import outliers, step
 from onebend.recording.tracks import read_tracks
 from onebend.recording.video import opened
@@ -183,7 +183,7 @@ def _refuse_apart(description: Recording, seconds: float, log: ForceLog) -> None
 def _refuse_axes(description: Recording, markers: Markers, log: ForceLog) -> None:
     """Raises if the force contradicts the bending. Clocks are matched by the sizes of force and bending, whatever the
     axes."""
-    away, force = displacement(markers), tared(description, log)
+    away, force = moved(markers), tared(description, log)
     start, doubt = description.start
     place = np.nan if description.push is None else description.push.at
     if not np.isfinite(start + doubt + place) or not away.max() > 0.0:
