@@ -163,6 +163,25 @@ def test_a_body_of_stated_width_with_a_darker_rim_is_seen_up_to_where_the_rim_en
     assert abs(wide) < 0.15e-3
 
 
+@pytest.mark.parametrize(("share", "told"), [(1.0, 0), (0.6, 1), (2.0, 1)])
+def test_a_stated_width_finds_a_body_beside_the_axis_and_a_wrong_one_is_named(share: float, told: int) -> None:
+    stations, hidden, _ = stations_and_hidden()
+    true = 2.0 * float(half_width(np.array(0.06)))
+    place = BodyPlace("painted", VIEW, stations, hidden, share * true)
+    _, half = outline.follow([Sight(painted(0.1), VIEW, np.array([0.0, 9.0]))], place)
+    assert 2.0 * half[~hidden][0] == pytest.approx(true, abs=0.2e-3)
+    assert len(outline.width_remarks(place, half)) == told
+
+
+def test_of_several_edges_those_that_are_as_far_apart_as_the_stated_width_are_the_bodys() -> None:
+    stations, hidden, _ = stations_and_hidden()
+    part, sight = ~hidden & (stations.s < 0.16), Sight(painted(0.0, rim=45.0), VIEW, np.zeros(2))
+    true, curve = 2.0 * float(half_width(np.array(0.11))), stations.curve(np.zeros(1 + flanks.STATES))
+    for width, share in ((math.nan, 0.6), (true, 1.0), (0.6 * true, 0.6), (3.0 * true, 0.6)):
+        sides = flanks.first_width(sight, curve, part, LENGTH, width)
+        assert sides.sum() == pytest.approx(share * true, rel=0.08)
+
+
 def test_an_edge_between_two_levels_is_found_to_a_twentieth_of_a_pixel() -> None:
     for place in (-1.3, -0.4, 0.0, 0.3, 2.2):
         share = 0.5 + 0.5 * np.tanh((flanks.OUT - place) / 0.9)

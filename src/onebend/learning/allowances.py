@@ -617,7 +617,8 @@ def relaxation(course: PushCourse) -> Allowance:
 
 
 def lags(time: Array) -> Array:
-    """(n, T, T) maps of values, linear in `time` (T,) [s], to their lagged ones, one a time; cached, read only."""
+    """(n, T, T) maps of values, linear in `time` (T,) [s] and before it as at first, to their lagged ones, one a time;
+    cached, read only."""
     return _lags(np.asarray(time, dtype=float).tobytes())
 
 
@@ -626,6 +627,7 @@ def _lags(instants: bytes) -> Array:
     time = np.frombuffer(instants)
     kept, before, now = lag_weights(np.diff(time))
     out = np.zeros((len(TIMES), len(time), len(time)))
+    out[:, 0, 0] = 1.0  # weight has bent the beam, or a push held it, for long
     for i in range(len(time) - 1):
         out[:, i + 1] = kept[:, i, None] * out[:, i]
         out[:, i + 1, i] += before[:, i]

@@ -107,13 +107,16 @@ def _explained(critic: criticism.Criticism) -> bool:
 
 def _of_the_log(problem: FitProblem, optimum: Optimum) -> float:
     """Share of the tags' motion that is predicted wrongly without the slow error that the fit takes off the log: small
-    forces and bends are proportional, so it is the share of k that rests on this error."""
+    forces and bends are proportional, so it is the share of k that rests on this error. A zero that no rest has shown
+    is no part of it."""
     shares = [0.0]
     for data, now in zip(problem.recordings, optimum.predictions, strict=True):
         if not len(data.error.knots):
             continue
-        x = optimum.x.copy()
-        x[problem.layout.index["force", data.number].where] = 0.0
+        x, where = optimum.x.copy(), problem.layout.index["force", data.number].where
+        clean = data.observations.source.clean_force
+        unknown = clean is not None and not len(clean.zero_time)
+        x[where] = np.tile(np.mean(x[where].reshape(-1, 2), axis=0), len(data.error.knots)) if unknown else 0.0
         off = data.off(prediction.predict(data, problem.layout, x, now.solved.q).pose)
         motion = _motion(data)
         missed = np.nan_to_num(frames.marker_rms(off[..., :2]))  # nothing of a tag that was never seen

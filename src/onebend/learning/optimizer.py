@@ -361,6 +361,18 @@ _LOST_FORCE = (
 )
 
 
+_LOST_WEIGHT = (
+    "Gravity pulls elsewhere than [gravity] says, or the mass is another one: check direction_deg, base_angle_deg and "
+    "mass_kg."
+)
+
+
+def is_of_a_beam(pull: float) -> bool:
+    """Whether a beam of the written mass may pull so much at its clamp, as a share of what an even one does: a cone has
+    0.5, a mass at the tip 2."""
+    return 0.42 < pull < 2.2
+
+
 def refuse_lost_force(problem: linear.FitProblem, estimate: MapEstimate) -> None:
     """Check that the fitted error of some force log varies less than the corrected force.
 
@@ -381,10 +393,14 @@ def refuse_lost_force(problem: linear.FitProblem, estimate: MapEstimate) -> None
         lost.append(f"{name}: the error of the force log changes by {of_error:.2g} N, the force by {of_force:.2g} N")
     if lost:
         every = (remark for one in problem.recordings for remark in one.observations.source.remarks)
-        warned = [remark.text for remark in every if remark.level == "warning"]
+        causes = [remark.text for remark in every if remark.level == "warning"] or [f"{_LOST_FORCE}."]
+        if any(np.any(one.observations.gravity) for one in problem.recordings):
+            heavier, sloped = problem.layout.get(estimate.x, "mass")[:2].tolist()
+            likely = is_of_a_beam(1.0 + heavier + sloped / 3.0)
+            causes = [*causes, f"Or: {_LOST_WEIGHT}"] if likely else [_LOST_WEIGHT, "Or:", *causes]
         raise LearningError(
             f"{'; '.join(lost)} (RMS, as tags and log say together): the log does not tell the force, and so not k(s). "
-            + " ".join(warned or [_LOST_FORCE])
+            + " ".join(causes)
         )
 
 

@@ -109,15 +109,13 @@ def _symmetric(matrix: Array) -> Array:
     return 0.5 * (matrix + matrix.T)
 
 
-# The pull of an even beam on its clamp, as a share: a cone has 0.5, a mass at the tip 2.
-LEAST_PULL, MOST_PULL = 0.42, 2.2
 LEANS = 4.0  # sds of gravity's written direction, beyond which it is another one
 
 
 def weight_doubts(mass: LearnedMass | None, leaning: Sequence[float]) -> tuple[str, ...]:
     """What contradicts the weight as written, given the mass after the fit and `leans`; empty as a rule."""
     doubts = []
-    if mass is not None and np.isfinite(mass.written) and not LEAST_PULL < mass.even / mass.written < MOST_PULL:
+    if mass is not None and np.isfinite(mass.written) and not optimizer.is_of_a_beam(mass.even / mass.written):
         doubts.append("the beam's weight and the force contradict each other")
     if max((abs(lean) for lean in leaning), default=0.0) > LEANS:
         doubts.append("gravity does not pull where [gravity] says")

@@ -7,7 +7,7 @@ whose place and direction the base tag says, to its tip.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -326,6 +326,7 @@ def scale_of(view: View, length: float) -> float:
 GROWS = 0.04  # of the length: how far ahead in one go
 FIRST = 0.10  # of the length: there the body's colour and width are taken
 WIDEST = 0.15  # of the length: half of the widest body
+WIDTH_OFF = 0.15  # of the width near the clamp: two edges that differ more from what is stated are not those meant
 PAPER = 0.75  # of a tag's side: from its middle to where its paper ends, along the beam
 STEP_SHARE = 1.0 / 16.0  # of the step at the flanks: sd of the body's colour, at least
 RIM_SHARE = 0.5  # of this step: by so much, at most, its rim may differ from its middle
@@ -343,9 +344,9 @@ class OutlinedBody:
     look: Look
 
 
-def first_width(sight: Sight, curve: Curve, part: BoolArray, length: float) -> Array:
-    """(2,) m from the axis to the left and to the right flank along `part` (M,) of the curve: the innermost clear steps
-    of the mean colour; NaN where there is none."""
+def first_width(sight: Sight, curve: Curve, part: BoolArray, length: float, width: float = math.nan) -> Array:
+    """(2,) m from the axis to the left and to the right flank along `part` (M,) of the curve: of the clear steps of the
+    mean colour those that are `width` [m] apart, where two nearly are, else the innermost; NaN where there is none."""
     normal, scale = (one[part] for one in sight.outward(curve))
     out = np.arange(0.0, WIDEST * length * float(np.median(scale)), STEP)
     middle = sight.pixels(curve.xy[part])
@@ -359,14 +360,17 @@ def first_width(sight: Sight, curve: Curve, part: BoolArray, length: float) -> A
     both = np.concatenate([mean[::-1, :0:-1], mean], axis=1)  # from the other side's far end on
     inside, outside = sides_of(both, np.arange(SAMPLES_ASIDE, both.shape[1] - SAMPLES_ASIDE))
     strength = np.linalg.norm((outside - inside) / np.maximum(noise, 0.5), axis=2)
-    away, scale_there = np.full(2, np.nan), float(np.median(scale))
+    edges = []
     for side in range(2):
         own = strength[side, len(out) - 1 - SAMPLES_ASIDE :]
         peaks = np.flatnonzero((own[1:-1] >= own[:-2]) & (own[1:-1] > own[2:])) + 1
-        clear = peaks[own[peaks] > max(2.0, 0.25 * float(own.max()))]  # sds of a pixel's noise; of the largest step
-        if len(clear):
-            away[side] = out[clear[0]] / scale_there
-    return away
+        clear = own[peaks] > max(2.0, 0.25 * float(own.max()))  # sds of a pixel's noise; of the largest step
+        edges.append(out[peaks[clear]] / float(np.median(scale)))
+    if not len(edges[0]) or not len(edges[1]):
+        return np.full(2, np.nan)
+    off = np.abs(np.add.outer(*edges) - width)
+    best = np.unravel_index(int(np.argmin(off)), off.shape) if np.any(off < WIDTH_OFF * width) else (0, 0)
+    return np.array([one[i] for one, i in zip(edges, best, strict=True)])
 
 
 def edge_size(sight: Sight, curve: Curve, half: Array, part: BoolArray) -> float:
@@ -419,9 +423,8 @@ def grown(sight: Sight, place: BodyPlace, before: OutlinedBody | None = None) ->
     if before is not None:
         half, state[0] = before.half, before.state[0]
     else:
-        sides: Array = np.full(2, 0.5 * width)
-        if math.isnan(width):
-            sides = first_width(sight, stations.curve(state), part, stations.length)
+        sides = first_width(sight, stations.curve(state), part, stations.length, width)
+        sides = np.where(np.isnan(sides), 0.5 * width, sides)
         half, state[0] = np.full(stations.count, sides.mean()), 0.5 * (sides[0] - sides[1])
     step = edge_size(sight, stations.curve(state), half, part) if np.isfinite(half).all() else 0.0
     front = begin + FIRST
@@ -430,6 +433,8 @@ def grown(sight: Sight, place: BodyPlace, before: OutlinedBody | None = None) ->
         body = refined(sight, stations, state, half, part, step, STIFF if front < 1.0 else 1.0)
         if body is None and before is not None:
             return before
+        if body is None and not math.isnan(width):  # what is as wide is too faint
+            return grown(sight, replace(place, width=math.nan))
         if body is None:
             raise ObservationError(
                 f"{place.name}: no body is seen beside the clamp: no two edges run along the base tag's direction. "

@@ -417,7 +417,7 @@ def track_of(
     strays = np.stack([jumps(points.px[:, i], STRAY) for i in range(POINTS)], axis=1)
     points = often_seen(replace(points, sd=np.where(strays, np.nan, points.sd)))
     points = with_end(points, middle, place, shift, at_end)
-    return replace(points, remarks=(*points.remarks, *lost_remarks(found)))
+    return replace(points, remarks=(*points.remarks, *width_remarks(place, half), *lost_remarks(found)))
 
 
 def with_end(
@@ -604,6 +604,17 @@ def refuse_lost(middle: Middle, found: OutlineSearch, shown: BoolArray, name: st
             f"too long, or the tip out of the picture? {hint}",
             about="outline",
         )
+
+
+def width_remarks(place: flanks.BodyPlace, half: Array) -> tuple[Remark, ...]:
+    """A warning where the body that was followed is not as wide near the clamp as is stated; `half` (M,) m."""
+    seen = 2.0 * float(half[np.argmin(place.hidden)])
+    text = (
+        f"The edges that are followed are {1e3 * seen:.3g} mm apart near the clamp, not {1e3 * place.width:.3g} mm as "
+        "width_m in [outline] says. Look at the curve that `onebend check` draws, and correct width_m."
+    )
+    far = abs(seen - place.width) > flanks.WIDTH_OFF * place.width
+    return (Remark("warning", text, about="outline"),) if far else ()
 
 
 def lost_remarks(found: OutlineSearch) -> tuple[Remark, ...]:

@@ -15,6 +15,8 @@ MOST_FRAMES = 2e6  # of a film or of tracks: half a day at 50 Hz
 MAD_TO_SD = 1.4826  # of a normal distribution
 LONG_GAP = 0.25  # s: motion within a longer gap is not interpolated
 SEPARATE = 10.0  # periods of the cut-off: stretches farther apart are filtered separately
+SIDE, FEWEST_ON_LINE = 0.25, 8  # periods, and samples at least, beside a gap that give the level and slope there
+BRIDGE = 15  # points of a bridge over a gap
 SPIKE = 0.75  # s, in which outliers are looked for
 FILTER_ORDER = 2  # run forwards and backwards: four poles, no phase
 
@@ -143,9 +145,10 @@ def within_noise(column: Array) -> bool:
 def low_pass(time: Array, values: Array, cutoff: float, *, longest_gap: float) -> Array:
     """Zero-phase Butterworth low-pass (half power twice, so -6 dB, at `cutoff` [Hz]) of (N, c) `values` at `time`.
 
-    The gain is applied to the spectrum of the samples and their even reflection. Irregular samples are interpolated to
-    an even grid and back, and gaps are bridged straight. Stretches more than `SEPARATE` periods, and `longest_gap` [s],
-    apart are filtered separately; one too short to filter becomes its mean."""
+    The gain is applied to the spectrum of the samples, less the cubic with the level and slope at their two ends, and
+    their even reflection: what begins or ends on a slope is not flattened there. Irregular samples are interpolated to
+    an even grid and back. A gap longer than `longest_gap` [s] is bridged by such a cubic. Stretches more than
+    `SEPARATE` periods apart are filtered separately; one too short to filter becomes its mean."""
     filtered = np.array(values, dtype=float)
     if not np.isfinite(cutoff):
         return filtered
@@ -154,17 +157,19 @@ def low_pass(time: Array, values: Array, cutoff: float, *, longest_gap: float) -
         return filtered
     farthest = max(longest_gap, SEPARATE / cutoff)
     for rows in np.split(np.arange(len(time)), 1 + np.flatnonzero(np.diff(time) > farthest)):
-        t = time[rows]
+        t, bridge = bridged_gaps(time[rows], values[rows], longest_gap, SIDE / cutoff)
         grid = t[0] + dt * np.arange(int(np.floor((t[-1] - t[0]) / dt + 0.5)) + 1)
         if len(grid) < 16:
             filtered[rows] = np.mean(values[rows], axis=0)
             continue
-        even = resampled(t, values[rows], grid)
-        reflected = np.concatenate([even, even[-2:0:-1]])
+        even = resampled(t, bridge, grid)
+        first, last = (np.abs(grid - grid[end]) <= SIDE / cutoff for end in (0, -1))
+        slope = cubic_between(grid, even, first, last)(grid)
+        reflected = np.concatenate([even - slope, (even - slope)[-2:0:-1]])
         ratio = np.tan(np.pi * np.fft.rfftfreq(len(reflected))) / np.tan(np.pi * cutoff * dt)
         gain = flattened(1.0 / (1.0 + ratio[:, None] ** (2 * FILTER_ORDER)))
         smooth = np.fft.irfft(gain * np.fft.rfft(reflected, axis=0), len(reflected), axis=0)[: len(even)]
-        filtered[rows] = resampled(grid, smooth, t)
+        filtered[rows] = resampled(grid, smooth + slope, time[rows])
     return filtered
 
 
@@ -174,6 +179,42 @@ def resampled(time: Array, values: Array, at: Array) -> Array:
     if len(at) == len(time) and np.max(np.abs(at - time)) < 1e-6 * step(time):
         return values
     return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
+
+
+def bridged_gaps(time: Array, values: Array, longest_gap: float, reach: float) -> tuple[Array, Array]:
+    """`time` (N,) and `values` (N, c) with a cubic in every gap longer than `longest_gap` [s]; its ends and slopes are
+    those of the lines through the `reach` [s] before and behind it."""
+    gaps = np.flatnonzero(np.diff(time) > longest_gap)
+    if not len(gaps):
+        return time, values
+    times, rows = [], []
+    borders = np.concatenate([[-1], gaps, [len(time) - 1]])
+    for before, gap, after in zip(borders, gaps, borders[2:], strict=False):
+        left, right = np.arange(before + 1, gap + 1), np.arange(gap + 1, after + 1)
+        left, right = left[time[left] >= time[gap] - reach], right[time[right] <= time[gap + 1] + reach]
+        inside = np.linspace(time[gap], time[gap + 1], BRIDGE + 2)[1:-1]
+        times.append(inside)
+        rows.append(cubic_between(time, values, left, right, (int(gap), int(gap) + 1))(inside))
+    where = np.repeat(gaps + 1, BRIDGE)
+    return np.insert(time, where, np.concatenate(times)), np.insert(values, where, np.concatenate(rows), axis=0)
+
+
+def cubic_between(
+    time: Array, values: Array, left: IntArray | BoolArray, right: IntArray | BoolArray, at: tuple[int, int] = (0, -1)
+) -> CubicHermiteSpline:
+    """The cubic from sample `at[0]` to `at[1]`; its ends and slopes are those of the lines through the samples `left`
+    and `right` of `time` (N,) and `values` (N, c)."""
+    ends = [line_at(time[near], values[near], time[i]) for near, i in zip((left, right), at, strict=True)]
+    return CubicHermiteSpline(time[list(at)], [level for level, _ in ends], [slope for _, slope in ends])
+
+
+def line_at(time: Array, values: Array, at: float) -> tuple[Array, Array]:
+    """(c,) value and slope at `at` of the line through `values` (N, c); of few values the mean, with slope zero."""
+    if len(time) < FEWEST_ON_LINE:
+        return np.asarray(values.mean(axis=0)), np.zeros(values.shape[1])
+    basis = np.stack([np.ones_like(time), time - at], axis=1)
+    line = np.linalg.lstsq(basis, values, rcond=None)[0]
+    return line[0], line[1]
 
 
 def low_pass_power(frequency: Array, cutoff: float) -> Array:

@@ -49,7 +49,7 @@ def test_of_a_beam_that_relaxes() -> None:
     """A clamp that gives turns the beam by another angle in each frame: its memory is that of a steady turn."""
     found = worst(share=0.06)
     assert found.pop("clamp gives") < 0.02
-    assert found.pop("force") < 0.01
+    assert found.pop("force") < 0.03  # in the first frame the force has acted for long
     assert {name: off for name, off in found.items() if not off < 1e-3} == {}
 
 

@@ -30,8 +30,15 @@ def push() -> Array:
 
 
 def test_step_and_hold_has_its_closed_form() -> None:
-    held = lags(TIME) @ np.full(40, 0.7)
-    np.testing.assert_allclose(held, -0.7 * np.expm1(-(TIME - TIME[0]) / TIMES[:, None]), atol=1e-14)
+    at_once = np.append(TIME[0], TIME)  # the first instant before the step, and behind it
+    held = lags(at_once)[..., 1:] @ np.full(40, 0.7)
+    np.testing.assert_allclose(held[:, 1:], -0.7 * np.expm1(-(TIME - TIME[0]) / TIMES[:, None]), atol=1e-14)
+
+
+def test_what_weight_has_bent_for_long_relaxes_no_more() -> None:
+    np.testing.assert_allclose(lags(TIME) @ np.full(40, 0.7), 0.7, atol=1e-14)
+    held = np.tile([1.2, 0.7, -0.4], (40, 1))
+    np.testing.assert_allclose(rest_shift(memory(SHARES, TIME), held, WEIGHTS), 0.0, atol=1e-12)
 
 
 def test_a_steady_ramp_has_its_closed_form() -> None:

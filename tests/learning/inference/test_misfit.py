@@ -16,6 +16,7 @@ from onebend.learning.parameters import Spline, make_layout
 from onebend.learning.prediction import Prediction, predict
 from onebend.records import Array, Remark
 from tests.learning.bench import IDEAL, SOFT, forces, observed
+from tests.made_up import with_stated
 
 SD = 1e-4  # m, of each coordinate of a tag
 
@@ -114,6 +115,24 @@ def test_what_the_recording_was_warned_of_is_the_advice_where_the_force_is_lost(
     with pytest.raises(LearningError, match=r"The film starts \+3.01 s from start_s.") as refused:
         refuse_lost_force(replace(problem, recordings=(data,)), estimate)
     assert "push harder" not in str(refused.value)
+
+
+@pytest.mark.parametrize(("slope", "first"), [(0.0, "Check that this log"), (-3.0, "Gravity pulls elsewhere")])
+def test_where_weight_bends_the_beam_gravity_may_be_wrong_and_is_named_first_where_it_pulls_as_no_beam_does(
+    slope: float, first: str
+) -> None:
+    made = with_stated(observed(SOFT, forces(60)), mass=0.05)
+    problem, x = first_problem([replace(made, gravity=np.tile([0.0, -9.81], (60, 1)))], 0.2, IDEAL)
+    [data] = problem.recordings
+    on = np.any(data.force != 0.0, axis=1)
+    lost = np.linalg.lstsq(data.error_weights[on], 0.75 * data.force[on], rcond=None)[0]
+    x[problem.layout.index["force", 0].where] = lost.ravel()
+    x[problem.layout.index["mass", -1].start + 1] = slope
+    with pytest.raises(LearningError, match="direction_deg, base_angle_deg and mass_kg") as refused:
+        refuse_lost_force(problem, MapEstimate(x, problem.expected, ()))
+    text = str(refused.value)
+    assert "Check that this log" in text
+    assert text.split("not k(s). ")[1].startswith(first)
 
 
 @pytest.mark.parametrize(("share", "zero"), [(0.0, 0.0), (0.4, 0.0), (-0.5, 0.0), (0.1, 5.0)])
