@@ -176,7 +176,8 @@ def study(
     if path.is_file():
         for line in path.read_text(encoding="utf-8").splitlines():
             data = json.loads(line)
-            one = Outcome(**{name: tuple(v) if isinstance(v, list) else v for name, v in data.items()})
+            lists = {name: tuple(value) for name, value in data.items() if isinstance(value, list)}
+            one = Outcome(**(data | lists))
             done[one.cell, one.seed] = one
     path.parent.mkdir(parents=True, exist_ok=True)
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
