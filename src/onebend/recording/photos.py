@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
@@ -68,18 +68,8 @@ def tag_points(rec: Recording, loads: PoseLoads, progress: Progress) -> Traced:
 
 def points_of_markers(markers: Markers, clamp_sd: float, remarks: tuple[Remark, ...]) -> PosePoints:
     """The markers as points of poses."""
-    return PosePoints(
-        tag_id=markers.tag_id,
-        s=markers.s,
-        xy=markers.xy,
-        angle=markers.angle,
-        covariance=markers.covariance,
-        sd_known=True,
-        clamp_sd=clamp_sd,
-        view=markers.view,
-        remarks=(*markers.remarks, *remarks),
-        traced=markers.traced,
-    )
+    alike = {one.name: vars(markers)[one.name] for one in fields(PosePoints) if one.name in vars(markers)}
+    return PosePoints(**alike | {"remarks": (*markers.remarks, *remarks)}, sd_known=True, clamp_sd=clamp_sd)
 
 
 def detect_in_photos(rec: Recording, names: tuple[str, ...], progress: Progress = Silent()) -> Detections:

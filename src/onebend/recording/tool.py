@@ -553,31 +553,24 @@ MOVED = 0.05  # of a tag's side: farther from where it was first, it may be push
 SECONDS, WAY = 0.1, 0.1  # s, and sides of a tag: so far apart are the pictures to begin with
 
 
-@dataclass(frozen=True)
-class _Kept:
-    """A picture with its tags."""
-
-    time: float  # s
-    middle: Array  # (m, 2) px
-    picture: Picture
-
-
 @dataclass
 class _Spread:
     """Pictures evenly over time and way; where there are too many, every other one goes, and so on."""
 
     share: float  # of all that are kept
     spacing: float = 1.0
-    kept: list[_Kept] = field(default_factory=list)
+    kept: list[tuple[float, Array, Picture]] = field(
+        default_factory=list
+    )  # s, and the tags' middles (m, 2) px, of each
 
     def wants(self, time: float, middle: Array, side: float) -> bool:
         """Whether a picture is far enough from the last one."""
         if not self.kept:
             return True
-        last = self.kept[-1]
-        return (time - last.time) / SECONDS + _farthest(middle - last.middle) / (WAY * side) >= self.spacing
+        last, there, _ = self.kept[-1]
+        return (time - last) / SECONDS + _farthest(middle - there) / (WAY * side) >= self.spacing
 
-    def add(self, one: _Kept, most: int) -> None:
+    def add(self, one: tuple[float, Array, Picture], most: int) -> None:
         """One more, of at most `most` in both stores."""
         self.kept.append(one)
         if len(self.kept) > max(1, int(self.share * most)):
@@ -599,7 +592,7 @@ class KeptPictures:
 
     def __contains__(self, time: object) -> bool:
         """Whether the picture of a time [s] is kept."""
-        return any(one.time == time for spread in (self._rest, self._away) for one in spread.kept)
+        return time in self.by_time()
 
     def add(self, time: float, picture: Picture, corners: Array) -> None:
         """Take notice of the newest picture, which shows the tags' corners (m, 4, 2) [px]; NaN where it does not."""
@@ -615,11 +608,11 @@ class KeptPictures:
         moved = _farthest(middle - self._first) > MOVED * self._side
         spread = self._away if moved else self._rest
         if self._most and spread.wants(time, middle, self._side):
-            spread.add(_Kept(time, middle, picture), self._most)
+            spread.add((time, middle, picture), self._most)
 
     def by_time(self) -> dict[float, Picture]:
         """Those that are kept, by their time [s]."""
-        return {one.time: one.picture for one in (*self._rest.kept, *self._away.kept)}
+        return {time: picture for time, _, picture in (*self._rest.kept, *self._away.kept)}
 
 
 def _farthest(way: Array) -> float:
