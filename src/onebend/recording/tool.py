@@ -559,9 +559,8 @@ class _Spread:
 
     share: float  # of all that are kept
     spacing: float = 1.0
-    kept: list[tuple[float, Array, Picture]] = field(
-        default_factory=list
-    )  # s, and the tags' middles (m, 2) px, of each
+    # Of each its time [s], and where its tags are, (m, 2) px.
+    kept: list[tuple[float, Array, Picture]] = field(default_factory=list)
 
     def wants(self, time: float, middle: Array, side: float) -> bool:
         """Whether a picture is far enough from the last one."""
