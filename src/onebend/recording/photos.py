@@ -21,7 +21,7 @@ from onebend.progress import Progress, Silent, track
 from onebend.recording import beam_frame, camera, flanks, signals, tables, tag_finder, video
 from onebend.recording.entries import Recording
 from onebend.recording.outline import PLACES, POINTS, STATION, OutlineSearch, centreline, points_of, refuse_lost
-from onebend.recording.plane import lay_square, project, to_plane, view_of
+from onebend.recording.plane import lay_square, project, scale_of, to_plane, view_of
 from onebend.recording.poses import ERROR_LENGTH, GUESSED_SD, PoseLoads, PosePoints, read_loads, static
 from onebend.recording.tags import track_block
 from onebend.recording.tracks import chord_angles
@@ -345,7 +345,7 @@ def level_view(origin: Array, scale: float, clamp: float) -> View:
 def found_in(rec: Recording, picture: str, image: Image.Image, view: View, clicks: Clicks | None = None) -> FoundBody:
     """The body in a picture whose plane and frame are known: along the clicks, or from the base tag on."""
     length = rec.beam.length
-    long = float(np.linalg.norm(np.diff(project(view, np.array([[0.0, 0.0], [length, 0.0]])), axis=0)))
+    long = length * scale_of(view, length)  # px
     smaller = max(1, int(long / LONGEST))
     sight = flanks.Sight(planes_in(image, smaller), smaller_view(view, smaller), np.zeros(2))
     stations = flanks.Stations(length, max(2 * POINTS, math.ceil(long / smaller / STATION)))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, map_coordinates, uniform_filter
 
 from onebend.recording.entries import Recording
-from onebend.recording.plane import camera_place, project
+from onebend.recording.plane import camera_place, project, scale_of
 from onebend.recording.signals import MAD_TO_SD, along_tags, runs
 from onebend.recording.tool_edges import ToolStrip, contacts
 from onebend.recording.video import KeptFrames, Picture, pictures_at
@@ -61,8 +61,7 @@ def grid_of(length: float) -> SideGrid:
 
 def shrink_factor(view: View, length: float) -> int:
     """How many pixels of the film, each way, make one of the shrunk pictures."""
-    ends = project(view, np.array([[0.0, 0.0], [length, 0.0]]))
-    return max(1, math.ceil(float(np.linalg.norm(ends[1] - ends[0])) / BEAM_PIXELS))
+    return max(1, math.ceil(length * scale_of(view, length) / BEAM_PIXELS))
 
 
 def shrunk(picture: NDArray[np.uint8], factor: int) -> NDArray[np.float32]:
