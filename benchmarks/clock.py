@@ -19,13 +19,11 @@ from benchmarks.studies import bench_of
 from benchmarks.truth import RECORDINGS, Truth, read_truth
 from onebend.lab.virtual import virtual_recording
 from onebend.recording.camera import measure_markers
-from onebend.recording.clock_evidence import fit_noise, linear_model
-from onebend.recording.clock_features import ClockSettings
+from onebend.recording.clock_evidence import LinearModel, fit_noise
 from onebend.recording.entries import Recording
 from onebend.recording.folder import read_recording
 from onebend.recording.force import (
     Contact,
-    ForceSettings,
     cleaned,
     find_contact,
     force_at,
@@ -80,13 +78,12 @@ def row(folder: Path) -> Row | None:
 
 def compare(rec: Recording, markers: Markers, log: ForceLog, truth: Truth) -> Row:
     """What `observe` does with markers and log, each step beside the truth."""
-    settings = ForceSettings()
-    read, fit = match_clocks(rec, markers, log, None, ClockSettings(), settings)
+    read, fit = match_clocks(rec, markers, log, None)
     assert read is not None
     contact = find_contact(markers, read, offset=fit.clock.offset)
     true = truth.facts["clock"]["log_minus_video_true"] + truth.facts["force"]["lag"]
-    clean = cleaned(rec, read, contact, fit, settings)
-    first = cleaned(rec, read, replace(contact, rests=contact.rests[:1]), fit, settings)
+    clean = cleaned(rec, read, contact, fit)
+    first = cleaned(rec, read, replace(contact, rests=contact.rests[:1]), fit)
     size = np.linalg.norm(truth.force, axis=1)
     begin = float(truth.time[int(np.argmax(size > 0.01 * size.max()))])
     assert rec.video is not None
@@ -123,8 +120,8 @@ def bound(rec: Recording, log: ForceLog, truth: Truth, offset: float, rate: floa
         ],
         axis=1,
     )
-    constant = np.zeros((len(at), 2, 2)) + 10 * np.eye(2)
-    model = fit_noise(at, linear_model(constant, noise), first_guess(noise, 1 / rate))
+    constant = LinearModel(np.full((len(at), 1), 10.0), 1, noise)
+    model = fit_noise(at, constant, first_guess(noise, 1 / rate))
     root = np.linalg.cholesky(covariance(model, TimeSpans.at(at)))
     step = 0.5 / rate
     slope = (true_at(truth, at - offset + step) - true_at(truth, at - offset - step)) / (2 * step)
@@ -181,7 +178,7 @@ def virtual_row(cell: str, runs: int) -> str:
         said = bench.clock.offset + float(np.random.default_rng([seed, 9]).uniform(-1.5, 1.5))
         made = virtual_recording(replace(bench, clock=replace(bench.clock, declared=said, uncertainty=2.0)), seed=seed)
         markers = with_angles(made.markers)
-        clock = match_clocks(made.recording, markers, made.log, None, ClockSettings(), ForceSettings())[1].clock
+        clock = match_clocks(made.recording, markers, made.log, None)[1].clock
         found.append((clock.offset - bench.clock.offset - bench.sensor.lag, clock.sd))
     miss, sd = np.array(found).T
     score = miss / sd

@@ -11,7 +11,7 @@ from onebend.lab.virtual import VirtualRecording
 from onebend.progress import one_blas_thread
 from onebend.recording.beam_frame import to_beam_frame
 from onebend.recording.force import clean_force, force_at
-from onebend.recording.observe import LoadsAtFrames, observations_of
+from onebend.recording.observe import observations_of
 from onebend.records import Array, BoolArray, CleanForce, ClockOffset, Observations, Source
 
 MARGIN = 0.1  # s between a rest and contact
@@ -40,8 +40,8 @@ def observe_from_truth(
     clean, force, noise = _force_seen(virtual, error, time, cutoff)
     source = Source(rec.name, clock=offset if clock_sd > 0.0 else None, clean_force=clean)
     push_s = np.full(len(time), rec.push.at if rec.push else np.nan)
-    loads = LoadsAtFrames(time, np.zeros_like(force), force, push_s, ~still)
-    return observations_of(rec, source, in_frame, rest, loads, noise, np.all(np.isfinite(force), axis=1))
+    loads = {"time": time, "gravity": np.zeros_like(force), "force": force, "push_s": push_s, "loaded": ~still}
+    return observations_of(rec, source, in_frame, rest, noise, np.all(np.isfinite(force), axis=1), **loads)
 
 
 def _force_seen(

@@ -53,7 +53,7 @@ def streamed() -> Seen:
 
 def test_the_place_of_the_push_is_seen_as_in_a_film() -> None:
     assert observed_in(streamed()).source.place_seen
-    assert not observed_in(replace(streamed(), small=None)).source.place_seen
+    assert not observed_in(replace(streamed(), pictures=None)).source.place_seen
 
 
 def test_another_place_is_warned_of() -> None:

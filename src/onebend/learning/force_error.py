@@ -17,14 +17,14 @@ import numpy as np
 from scipy.linalg import solve_triangular, toeplitz
 from scipy.linalg.lapack import dtpqrt
 
-from onebend.recording.force import ForceSettings, within
+from onebend.recording.force import TARE_SPAN, within
 from onebend.recording.force_noise import LOAD, TimeSpans, covariance, displacement, load_changes, own_time
 from onebend.recording.signals import low_pass, low_pass_power
 from onebend.records import Array, CleanForce, ForceNoise, IntArray, Observations
 
 _MARGIN = 0.2  # s, kept away from contact when a rest is read, besides the low-pass's memory:
 _MEMORY = 1.0  # periods of its cut-off
-_BESIDE = ForceSettings.tare_span  # s before and after the film, where the force's zero is read, too
+_BESIDE = TARE_SPAN  # s before and after the film, where the force's zero is read, too
 _REACH = 2.0  # s, of the rest on either side of the push that counts at least: ten times the usual correlation time
 _MOST_KNOTS = 100  # two unknowns each: a bound on the size of a fit
 _SPACING = 0.25  # of the period of the cut-off: half of Nyquist's

@@ -309,8 +309,8 @@ class Live:
             )
         self.recording, self.settings, self._clock = rec, settings, clock
         self._tracker = body.BodyTracker(rec)
-        self._small = tool.KeptSmall(rec.beam.length, rec.tags.size, settings.most_frames // 4)
-        self._frames = history.FrameHistory(settings.most_frames, self._small)
+        self._pictures = tool.KeptPictures(settings.most_frames // 4)
+        self._frames = history.FrameHistory(settings.most_frames, self._pictures)
         self._log = history.ForceHistory(settings.most_rows, 4 if rec.push is not None and rec.push.column else 3)
         made = ReviewerBeside if beside else Reviewer
         self._reviewer: Reviewer = made(settings.observing, settings.learning)
@@ -370,7 +370,7 @@ class Live:
         counts = self._counts
         self._counts = replace(counts, frames=counts.frames + 1, late_frames=counts.late_frames + late)
         if image is not None and not late:
-            self._small.add(own.time, image, own.corners)
+            self._pictures.add(own.time, image, own.corners)
         self._frames.add(own)
         if not late:
             self._newest = seen
@@ -417,7 +417,7 @@ class Live:
         """Counts of all that is kept of the stream; each is bounded, however long it runs."""
         return {
             "frames": len(self._frames),
-            "pictures": len(self._small),
+            "pictures": len(self._pictures),
             "rows": len(self._log),
             "tracker": self._tracker.kept,
             **self._following.kept,
@@ -511,4 +511,4 @@ class Live:
 
 def seen_by(live: Live) -> Seen:
     """A copy of what is kept of a stream, pictures too, for `onebend.live.review.observed_in`."""
-    return replace(live._seen(), small=live._small.small())
+    return replace(live._seen(), pictures=live._pictures.by_time())

@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 import weakref
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,8 +38,9 @@ from onebend.recording.force_log import FEWEST_ROWS, whole_log
 from onebend.recording.observe import FEWEST_FRAMES, ObserveSettings, observe_markers
 from onebend.recording.outline import joined, left_out
 from onebend.recording.tags import BlockTracks, summary
-from onebend.recording.tool import SmallPictures, ToolPlace, tool_checked, tool_in_small
+from onebend.recording.tool import ToolPlace, tool_checked, tool_in_stream
 from onebend.recording.tracks import with_angles
+from onebend.recording.video import Picture
 from onebend.report.sentences import say
 
 NO_TAGS = "no tag of recording.toml is in the picture"
@@ -55,7 +57,7 @@ class Seen:
     tracks: BlockTracks
     rows: records.Array  # (N, 3 or 4) of the force log
     outline: SeenOutline | None = None
-    small: SmallPictures | None = None  # in which the tool may show; None: it is not looked for
+    pictures: Mapping[float, Picture] | None = None  # by their time; None: the tool is not looked for
 
     @property
     def until(self) -> float:
@@ -82,13 +84,13 @@ def observed_in(seen: Seen, settings: ObserveSettings = ObserveSettings()) -> re
     Raises:
         ObservationError: what is wrong with it, or not there yet.
     """
-    rec, small, markers = seen.recording, seen.small, _markers_in(seen)
+    rec, pictures, markers = seen.recording, seen.pictures, _markers_in(seen)
     observed = observe_markers(rec, markers, log_of(rec, seen.rows), settings)
-    if small is None:
+    if not pictures:
         return observed
 
     def find(tags: records.Markers, loaded: records.BoolArray, frame: records.IntArray) -> ToolPlace:
-        return tool_in_small(small, rec, tags, loaded, markers.time[frame])
+        return tool_in_stream(pictures, rec, tags, loaded, markers.time[frame])
 
     return tool_checked(rec, observed, markers.base_angle[observed.frame], find)
 
@@ -135,7 +137,7 @@ def review(
         markers = _markers_in(seen)
         log = log_of(seen.recording, seen.rows)
         few = with_angles(records.of_markers(markers, records.read_before_fit(markers)))
-        moved = bool(find_contact(few, settings=observing.contact).loaded.any())
+        moved = bool(find_contact(few).loaded.any())
         if not moved:  # nothing else can be known yet
             return Reviewed(seen.until, NO_PUSH, remarks=markers.remarks)
         observed = observe_markers(seen.recording, markers, log, replace(observing, check_force=False))

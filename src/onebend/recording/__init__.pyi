@@ -1,5 +1,4 @@
 from .camera import measure_markers as measure_markers
-from .clock_features import ClockSettings as ClockSettings
 from .entries import (
     BeamEntry as BeamEntry,
     CameraEntry as CameraEntry,
@@ -18,7 +17,6 @@ from .entries import (
     VideoEntry as VideoEntry,
 )
 from .folder import read_recording as read_recording
-from .force import ContactSettings as ContactSettings, ForceSettings as ForceSettings
 from .observe import Detect as Detect, ObserveSettings as ObserveSettings
 from .tag_finder import PrintedTag as PrintedTag
 from .tags import TrackedFrame as TrackedFrame, Tracker as Tracker, detect_tags as detect_tags

@@ -400,18 +400,18 @@ def check_bag(name: str, entry: VideoEntry | ForceEntry, written: Mapping[str, A
     try:
         contents = open_bag(entry.file)
         if not entry.topic:
-            mistakes.add((name, "file"), f"[{name}] lacks topic: {asked(contents, name)}")
+            more = asked(contents, "image" if name == "video" else "force", 'Add `topic = "{}"`.')
+            mistakes.add((name, "file"), f"[{name}] lacks topic: {more}")
         else:
             topic_of(contents, entry.topic, f"[{name}] topic")
     except RecordingError as wrong:
         mistakes.add((name, "topic"), str(wrong))
 
 
-def asked(bag: Bag, name: str) -> str:
-    """Advice where a bag is named without its topic."""
-    likely = guess(bag, "image" if name == "video" else "force")
-    hint = f' Add `topic = "{likely}"`.' if likely else ""
-    return f"{bag.path} is a bag that holds {listed(bag)}.{hint}"
+def asked(bag: Bag, what: Literal["force", "image"], how: str) -> str:
+    """Advice where a bag is named without its topic; `how` the likeliest one may be added."""
+    likely = guess(bag, what)
+    return f"{bag.path} is a bag that holds {listed(bag)}.{likely and ' ' + how.format(likely)}"
 
 
 def with_bags(rec: Recording, written: Mapping[str, Any]) -> Recording:

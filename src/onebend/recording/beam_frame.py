@@ -132,9 +132,7 @@ def read_base_log(path: Path) -> BaseLog:
     return BaseLog(time, np.unwrap(np.radians(degrees)))
 
 
-def base_clock(
-    markers: Markers, log: BaseLog, stated: float, uncertainty: float, *, margin: float = 2.0
-) -> ClockOffset:
+def base_clock(markers: Markers, log: BaseLog, stated: float, uncertainty: float) -> ClockOffset:
     """The offset at which the base tag's angle in the film fits the logged angle (least squares, one constant free).
 
     `sd` counts the residuals as correlated over a second, as from a log that is sampled sparsely.
@@ -155,7 +153,7 @@ def base_clock(
             return math.inf
         return float(np.var(np.interp(log_time[inside], log.time, log.angle) - angle[inside]))
 
-    farthest, centre = reach_of(uncertainty, margin), stated
+    farthest, centre = reach_of(uncertainty), stated
     for reach, width in ((farthest, 0.02), (0.05, 0.002)):
         tries = np.arange(centre - reach, centre + reach + width / 2, width)
         cost = np.array([misfit(trial) for trial in tries])

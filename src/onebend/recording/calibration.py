@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -12,10 +11,10 @@ import numpy as np
 from onebend.errors import RecordingError
 from onebend.extras import package
 from onebend.progress import Progress, Silent, one_blas_thread
-from onebend.recording.bag_topics import bag_frames, guess
-from onebend.recording.bags import is_bag, listed, open_bag
+from onebend.recording.bag_topics import asked
+from onebend.recording.bags import is_bag, open_bag
 from onebend.recording.entries import VideoEntry
-from onebend.recording.video import Picture, decoded, frame_count, picture_in
+from onebend.recording.video import Picture, frame_count, picture_in, timed
 from onebend.records import Array, IntArray, Remark
 
 BoardKind = Literal["chessboard", "charuco"]
@@ -91,7 +90,7 @@ def find_boards(film: Path, board: Board, *, topic: str = "", progress: Progress
     looked, boards, begin = 0, 0, 0.0
     progress.start("looking for the board", count // every if count else None)
     try:
-        for index, now, raw in _timed(video):
+        for index, now, raw in timed(video):
             if index % every:
                 continue
             picture = picture_in(video, index, raw)
@@ -110,7 +109,7 @@ def find_boards(film: Path, board: Board, *, topic: str = "", progress: Progress
             progress.advance()
     finally:
         progress.done()
-    assert size is not None  # a film without frames is an error of `decoded`
+    assert size is not None  # a film without frames is an error of `timed`
     return BoardFilm(size[1], size[0], (*views, *_sharpest(burst)), looked, boards)
 
 
@@ -118,24 +117,10 @@ def _film_of(film: Path, topic: str) -> VideoEntry:
     """The film, or the topic of a bag."""
     bag = is_bag(film)
     if bag and not topic:
-        contents = open_bag(film)
-        likely = guess(contents, "image")
-        hint = f" Add --topic {likely}." if likely else ""
-        raise RecordingError(f"{film} is a bag that holds {listed(contents)}.{hint}")
+        raise RecordingError(asked(open_bag(film), "image", "Add --topic {}."))
     if topic and not bag:
         raise RecordingError(f"{film} is no bag and has no topics. Leave out --topic.")
     return VideoEntry(film, topic=topic)
-
-
-def _timed(video: VideoEntry) -> Iterator[tuple[int, float, Any]]:
-    """Index, time [s] and raw picture of every frame; a film without times counts as 30 frames/s."""
-    if video.topic:
-        for index, (time, message) in enumerate(bag_frames(video)):
-            yield index, time, message
-    else:
-        for index, frame in enumerate(decoded(video.file)):
-            # Frames/s, where a film does not say.
-            yield index, index / 30.0 if frame.time is None else float(frame.time), frame
 
 
 def _sharpest(burst: list[BoardView]) -> list[BoardView]:

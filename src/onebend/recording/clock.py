@@ -7,15 +7,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from onebend.recording import clock_evidence
-from onebend.recording.clock_features import ClockSettings, FilmFeatures, film_features
+from onebend.recording.clock_features import HOLD, FilmFeatures, film_features
 from onebend.recording.clock_moments import offset_from_moments
 from onebend.records import Array, ClockOffset, ForceLog, ForceNoise, Markers, Remark
 
+FARTHER = 2.0  # s, searched beyond the stated offset and its uncertainty
+SHARP_ROWS = 120  # of the log, for the model by the spans' moments
 ROUGHLY = 0.1  # s: a start stated to this uncertainty or less was measured, and is trusted
 
 
 def search_range(
-    film: Array, log: Array, stated: float, uncertainty: float, margin: float
+    film: Array, log: Array, stated: float, uncertainty: float
 ) -> tuple[float, float, clock_evidence.Prior]:
     """The lowest and highest offset to try [s], and the log prior of offsets. `uncertainty` must be above 0."""
     half = 0.5 * (film[-1] - film[0])
@@ -23,7 +25,7 @@ def search_range(
     if not (np.isfinite(stated) and np.isfinite(uncertainty)):
         return first, last, lambda offset: np.zeros_like(offset)
     uncertainty = max(uncertainty, 1e-6)  # s, a smaller uncertainty counts as this
-    reach = reach_of(uncertainty, margin)
+    reach = reach_of(uncertainty)
     # s, added to the prior's sd of a start with an uncertainty of `ROUGHLY` or more.
     scale = uncertainty / 2 + 0.05 * min(1.0, (uncertainty / ROUGHLY) ** 2)
 
@@ -34,9 +36,9 @@ def search_range(
     return max(first, stated - reach), min(last, stated + reach), prior
 
 
-def reach_of(uncertainty: float, margin: float) -> float:
-    """s, how far from the stated offset is searched: `margin` [s] beyond its uncertainty, less where that is small."""
-    return uncertainty + min(margin, 20.0 * uncertainty)  # times a small uncertainty: how far beyond it is searched
+def reach_of(uncertainty: float) -> float:
+    """s, how far from the stated offset is searched: beyond its uncertainty, but not far where that is small."""
+    return uncertainty + min(FARTHER, 20.0 * uncertainty)  # times a small uncertainty: how far beyond it is searched
 
 
 def prior_spread(low: float, high: float, prior: clock_evidence.Prior) -> float:
@@ -93,13 +95,7 @@ class ClockFit:
 
 
 def fit_clock(
-    markers: Markers,
-    log: ForceLog,
-    stated: float,
-    uncertainty: float,
-    *,
-    push_s: float | None = None,
-    settings: ClockSettings = ClockSettings(),
+    markers: Markers, log: ForceLog, stated: float, uncertainty: float, *, push_s: float | None = None
 ) -> ClockFit:
     """The posterior of the offset between the two clocks, and the lag of a sensor that is certainly slow.
 
@@ -108,22 +104,20 @@ def fit_clock(
     half of the prior's. An `uncertainty` of 0 says that `stated` is exact. With the place of the push `push_s`, `log`
     must be in the beam's axes (its sign and bias do not matter). The beam must move slowly against its own
     oscillations."""
-    film = film_features(markers, push_s, settings)
-    fit = fit_offset(film, log, stated, uncertainty, settings)
-    lag = clock_evidence.find_lag(film, log, fit.clock.offset, settings) if fit.clock.found else None
+    film = film_features(markers, push_s)
+    fit = fit_offset(film, log, stated, uncertainty)
+    lag = clock_evidence.find_lag(film, log, fit.clock.offset) if fit.clock.found else None
     return replace(fit, rate=film.rate, lag=lag)
 
 
-def fit_offset(
-    film: FilmFeatures, log: ForceLog, stated: float, uncertainty: float, settings: ClockSettings
-) -> ClockFit:
+def fit_offset(film: FilmFeatures, log: ForceLog, stated: float, uncertainty: float) -> ClockFit:
     """The posterior of the offset alone."""
     exact = uncertainty == 0.0 and np.isfinite(stated)
     low, high = stated, stated
     prior: clock_evidence.Prior = np.zeros_like
     if not exact:
-        low, high, prior = search_range(film.time, log.time, stated, uncertainty, settings.margin)
-    rows = clock_evidence.compared_rows(film, log, (low, high), settings)
+        low, high, prior = search_range(film.time, log.time, stated, uncertainty)
+    rows = clock_evidence.compared_rows(film, log, (low, high))
     if exact:
         scans = [] if rows is None else clock_evidence.feature_scans(film, rows, np.array([stated]), prior)
         clock = ClockOffset(offset=stated, sd=0.0, stated=stated, found=True)
@@ -133,7 +127,7 @@ def fit_offset(
     unsettled = ClockOffset(offset=stated, sd=doubt, stated=stated, found=False)
     if not 0.0 < film.rate < np.inf or high <= low:
         return ClockFit(unsettled, None, (Remark("note", "Nothing moves in the film: the clocks cannot be matched."),))
-    match = None if rows is None else matched(film, rows, (low, high), prior, settings)
+    match = None if rows is None else matched(film, rows, (low, high), prior)
     if match is None:
         return ClockFit(unsettled, None, (Remark("warning", TOO_LITTLE, about="clock"),))
     offset, sd, noise = match
@@ -148,7 +142,6 @@ def matched(
     rows: clock_evidence.BinnedLog,
     within: tuple[float, float],
     prior: clock_evidence.Prior,
-    settings: ClockSettings,
 ) -> tuple[float, float, ForceNoise] | None:
     """Offset [s] between `within`, its sd [s] and the log's noise; None where film and log have too little in common.
 
@@ -158,9 +151,7 @@ def matched(
     if not scans:
         return None
     if film.moments is not None:
-        few = clock_evidence.thinned(
-            rows, max(4 * film.rate, settings.sharp_rows / (film.moments.track.duration + settings.hold))
-        )
+        few = clock_evidence.thinned(rows, max(4 * film.rate, SHARP_ROWS / (film.moments.track.duration + HOLD)))
         span = clock_evidence.likely_span(scans, offsets, *within)
         sharp = offset_from_moments(film.moments, few, span, clock_evidence.peaks(scans, offsets), prior)
         if sharp is not None:

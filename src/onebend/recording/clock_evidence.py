@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpotrf, dtbtrs, dtrtrs
 from scipy.ndimage import uniform_filter1d
 
-from onebend.recording.clock_features import FEWEST, ClockSettings, FilmFeatures, Track, lagging, resting
+from onebend.recording.clock_features import FEWEST, HOLD, FilmFeatures, Track, lagging, resting
 from onebend.recording.force_noise import LEAST, TINY, first_guess, likeliest_noise
 from onebend.recording.signals import outliers, step
 from onebend.records import Array, ForceLog, ForceNoise, IntArray
@@ -80,15 +80,16 @@ def thinned(rows: BinnedLog, rate: float) -> BinnedLog:
     return BinnedLog(time, force, size * rows.width, rows.largest)
 
 
-def compared_rows(
-    film: FilmFeatures, log: ForceLog, within: tuple[float, float], settings: ClockSettings
-) -> BinnedLog | None:
+MOST_ROWS, SLOWEST = 250, 5.0  # of the log, after averaging; and a second, at least
+
+
+def compared_rows(film: FilmFeatures, log: ForceLog, within: tuple[float, float]) -> BinnedLog | None:
     """The log's rows that the film may cover at offsets `within` [s]; None where they are too few, or nothing moves."""
     if not 0.0 < film.rate < np.inf:
         return None
     span = (film.time[0] + within[0], film.time[-1] + within[1])
-    highest_rate = settings.most_rows / float(np.ptp(film.time) + settings.hold)
-    rows = binned(log, max(8 * film.rate, settings.slowest), span, highest_rate)
+    highest_rate = MOST_ROWS / float(np.ptp(film.time) + HOLD)
+    rows = binned(log, max(8 * film.rate, SLOWEST), span, highest_rate)
     return rows if len(rows.time) >= FEWEST and rows.largest > 0 else None
 
 
@@ -146,45 +147,23 @@ def noise_factor(noise: ForceNoise, time: Array, walked: Array | None = None) ->
 
 @dataclass(frozen=True)
 class LinearModel:
-    """`values` (N, a) = `design` (N, a, p) @ standard normal coefficients + noise; equal columns stand once."""
+    """`values` along either axis as features with standard normal coefficients, and noise."""
 
-    columns: Array  # (N, c)
-    coefficients: int  # p
-    of_axis: tuple[tuple[IntArray, IntArray], ...]  # (q + 1,) of each axis: its coefficients, and p; its columns
-
-
-@dataclass(frozen=True)
-class ColumnLayout:
-    """Which columns of a design (N, a, p) are not zero, and which of them differ."""
-
-    axis: IntArray  # (d,) of those that differ
-    coefficient: IntArray  # (d,)
-    of_axis: tuple[tuple[IntArray, IntArray], ...]  # (q,) of each axis: its coefficients; which of the d they are
+    features: Array  # (N, c)
+    own: int  # as of `Track`
+    values: Array  # (N, 2)
 
 
-def layout_of(design: Array) -> ColumnLayout:
-    """Of `design` (N, a, p)."""
-    number: dict[bytes, int] = {}
-    first: list[tuple[int, int]] = []
-    of_axis = []
-    for a in range(design.shape[1]):
-        used = np.flatnonzero(np.any(design[:, a], axis=0))
-        for i in used.tolist():
-            if number.setdefault(design[:, a, i].tobytes(), len(first)) == len(first):
-                first.append((a, i))
-        of_axis.append((used, np.array([number[design[:, a, i].tobytes()] for i in used], dtype=np.int64)))
-    axis, coefficient = np.array(first, dtype=np.int64).reshape(-1, 2).T
-    return ColumnLayout(axis, coefficient, tuple(of_axis))
-
-
-def linear_model(design: Array, values: Array, layout: ColumnLayout | None = None) -> LinearModel:
-    """Of `design` (N, a, p) and `values` (N, a); `layout`: of designs of which this one is a part."""
-    layout = layout or layout_of(design)
-    differing, p = len(layout.axis), design.shape[2]
-    of_axis = tuple(
-        (np.append(used, p), np.append(at, differing + axis)) for axis, (used, at) in enumerate(layout.of_axis)
+@cache
+def places_of(own: int, pairs: int) -> tuple[tuple[IntArray, IntArray], ...]:
+    """Of each axis the places of its features, and of what they explain, among all coefficients and among columns."""
+    return tuple(
+        (
+            np.r_[axis * own : (axis + 1) * own, 2 * own : 2 * own + pairs + 1],
+            np.r_[:own, own + axis * pairs : own + (axis + 1) * pairs, own + 2 * pairs + axis],
+        )
+        for axis in (0, 1)
     )
-    return LinearModel(np.concatenate([design[:, layout.axis, layout.coefficient], values], axis=1), p, of_axis)
 
 
 def log_evidence(factor: NoiseFactor, model: LinearModel) -> float:
@@ -193,15 +172,16 @@ def log_evidence(factor: NoiseFactor, model: LinearModel) -> float:
     The coefficients are shared by the axes and integrated out (Bayesian linear model; the p x p form of the matrix
     inversion lemma); the noise of the axes is independent, each one's covariance is that of `factor`.
     """
-    products = factor.inner(model.columns)
-    p = model.coefficients
+    products = factor.inner(np.hstack([model.features, model.values]))
+    pairs = (model.features.shape[1] - model.own) // 2
+    p = 2 * model.own + pairs
     inner = np.eye(p + 1)
-    for rows, at in model.of_axis:
+    for rows, at in places_of(model.own, pairs):
         inner[rows[:, None], rows] += products[at[:, None], at]
     square = float(inner[p, p]) - 1.0
     root, _ = dpotrf(inner[:p, :p], lower=1)
     explained, _ = dtrtrs(root, inner[:p, p], lower=1)
-    spread = len(model.of_axis) * factor.log_root + float(np.sum(np.log(np.diag(root))))
+    spread = 2 * factor.log_root + float(np.sum(np.log(np.diag(root))))
     return float(-0.5 * (square - explained @ explained) - spread)
 
 
@@ -233,13 +213,14 @@ def laid_over(track: Track, rows: BinnedLog, offset: Array) -> list[LaidOver | N
     """The film over the log at every offset; None where they have too little in common."""
     least = max(10.0, 0.25 * min(len(rows.time), track.duration / rows.width))
     reach = (track.time[0] - track.before - rows.width, track.time[-1] + track.after + rows.width)
-    layout, out = layout_of(track.integral.derivative()(track.time)), list[LaidOver | None]()
+    out = list[LaidOver | None]()
     for shift in offset:
         covered = np.arange(*np.searchsorted(rows.time, (reach[0] + shift, reach[1] + shift)))
-        design = rows.largest * track.mean(rows.time[covered] - shift, rows.width)
-        known = np.isfinite(design).all(axis=(1, 2))
+        features = rows.largest * track.mean(rows.time[covered] - shift, rows.width)
+        known = np.isfinite(features).all(axis=1)
         use = covered[known]
-        out.append(LaidOver(use, linear_model(design[known], rows.force[use], layout)) if len(use) >= least else None)
+        model = LinearModel(features[known], track.own, rows.force[use])
+        out.append(LaidOver(use, model) if len(use) >= least else None)
     return out
 
 
@@ -292,10 +273,9 @@ def evidence_ratios(laid: Sequence[LaidOver | None], rows: BinnedLog, noise: For
     for i, film in ((i, film) for i, film in enumerate(laid) if film is not None):
         if (key := film.use.tobytes()) not in of_rows:
             time = rows.time[film.use]
-            nothing = np.zeros((len(time), 2, 2)) + 10 * rows.largest * np.eye(2)
+            nothing = LinearModel(np.full((len(time), 1), 10 * rows.largest), 1, rows.force[film.use])
             walks = noise_factor(noise, time, walk_variance[film.use])
-            without = log_evidence(walks, linear_model(nothing, rows.force[film.use]))
-            of_rows[key] = noise_factor(noise, time), without
+            of_rows[key] = noise_factor(noise, time), log_evidence(walks, nothing)
         factor, without = of_rows[key]
         log_ratio[i] = log_evidence(factor, film.model) - without
     return log_ratio
@@ -373,12 +353,12 @@ def refined(scan: OffsetScan, rows: BinnedLog, offsets: Array, prior: Prior) -> 
 
 def evidence_over_same_rows(scan: OffsetScan, rows: BinnedLog, offsets: Array) -> Array | None:
     """Log evidence at all `offsets` over the rows that each of them covers; None where these are too few."""
-    designs = [rows.largest * scan.track.mean(rows.time - shift, rows.width) for shift in offsets]
-    use = np.all([np.isfinite(design).all(axis=(1, 2)) for design in designs], axis=0)
+    every = [rows.largest * scan.track.mean(rows.time - shift, rows.width) for shift in offsets]
+    use = np.all([np.isfinite(features).all(axis=1) for features in every], axis=0)
     if use.sum() < FEWEST:
         return None
-    factor, layout = noise_factor(scan.noise, rows.time[use]), layout_of(designs[0][use])
-    return np.array([log_evidence(factor, linear_model(design[use], rows.force[use], layout)) for design in designs])
+    factor, own, force = noise_factor(scan.noise, rows.time[use]), scan.track.own, rows.force[use]
+    return np.array([log_evidence(factor, LinearModel(features[use], own, force)) for features in every])
 
 
 def averaged_over(scans: Sequence[OffsetScan], ends: Sequence[tuple[float, float]]) -> tuple[float, float]:
@@ -415,9 +395,9 @@ LAG_REACH, MARGIN = 1.0, 0.1  # offsets compared: from this many lags before the
 LAGS_APART, OF_LAG = 0.05, 0.1  # s between them, or this share of the lag where that is more
 
 
-def find_lag(film: FilmFeatures, log: ForceLog, offset: float, settings: ClockSettings) -> float | None:
+def find_lag(film: FilmFeatures, log: ForceLog, offset: float) -> float | None:
     """s, the lag (first-order) of the sensor that wrote `log`, where it is certain. `offset` [s]: the clock's."""
-    rows = compared_rows(film, log, (offset - LAG_REACH * SLOW[-1] - MARGIN, offset + MARGIN), settings)
+    rows = compared_rows(film, log, (offset - LAG_REACH * SLOW[-1] - MARGIN, offset + MARGIN))
     if rows is None or not film.tracks:
         return None
     rested = resting(film.tracks[0])
@@ -450,7 +430,7 @@ def lag_evidence(track: Track, rows: BinnedLog, offset: float, tau: float, *, wi
     apart, reach = max(LAGS_APART, OF_LAG * tau), LAG_REACH * max(tau, within)
     offsets = np.arange(offset - reach - MARGIN, offset + MARGIN + 0.5 * apart, apart)
     longest = lagging(track, max(tau, within))
-    covered = [np.isfinite(longest.mean(rows.time - shift, rows.width)).all(axis=(1, 2)) for shift in offsets]
+    covered = [np.isfinite(longest.mean(rows.time - shift, rows.width)).all(axis=1) for shift in offsets]
     known = np.all(covered, axis=0)
     if known.sum() < FEWEST:
         return -np.inf

@@ -9,24 +9,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PPoly
 
 from onebend.recording.force_noise import LoadChange, load_changes
-from onebend.recording.signals import MAD_TO_SD, bandwidth, bridged, from_clamp, runs, step
-from onebend.records import Array, BoolArray, IntArray, Markers
-
-
-@dataclass(frozen=True)
-class ClockSettings:
-    """How the offset is searched."""
-
-    margin: float = 2.0  # s, searched beyond the stated offset and its uncertainty
-    corrections: tuple[float, ...] = (0.01, 0.001)  # prior sds, tried in turn, of what corrects the levers
-    most_rows: int = 250  # of the log, after averaging
-    most_frames: int = 4000  # of the film; where there are more, neighbours are averaged: some sixteen a row are left
-    sharp_rows: int = 120  # of these, for the model by the spans' moments
-    slowest: float = 5.0  # rows per second at least
-    longest_gap: float = 0.25  # s, a marker missing longer is not interpolated
-    steps: float = 0.3  # of the largest force: sd of a log's error that changes where the load begins, reverses, ends
-    hold: float = 2.0  # s before (after) the film for which a beam at rest in its first (last) frames stays so
-
+from onebend.recording.signals import LONG_GAP, MAD_TO_SD, bandwidth, bridged, from_clamp, runs, step
+from onebend.records import Array, BoolArray, Markers, left_of, unit
 
 # Features on which the clock search regresses the force:
 # - Levers: the moment of the force about the middle of a span is proportional to the span's turn. So F = sum_i k_i f_i
@@ -37,6 +21,10 @@ class ClockSettings:
 # - Moments: the turn of a span is `F . integral of w(s) a(s) ds` with w = 1 / k and a the lever of a unit force about
 #   s, exact for a beam that moves slowly. Of w, the mean over the span and the slope are used.
 
+CORRECTIONS = (0.01, 0.001)  # prior sds, tried in turn, of what corrects the levers
+MOST_FRAMES = 4000  # of the film; of more every so manyth is taken: some sixteen a row are left
+STEPS = 0.3  # of the largest force: sd of a log's error that changes where the load begins, reverses, ends
+HOLD = 2.0  # s before (after) the film for which a beam at rest in its first (last) frames stays so
 FREE = 10.0  # prior sd of the log's bias and of a stiffness, per largest force: free
 RIDGE = 0.01  # of the longest lever squared
 SHORTEST_SPAN = 0.05  # of the beam: a shorter span between a tag and the push does not count
@@ -54,11 +42,14 @@ LOAD_DOUBT = 0.05  # s, sd of the offset from not knowing when the log's error c
 class Track:
     """Features in time, to be averaged over any span."""
 
-    integral: PPoly  # antiderivative of the features, (2 axes, p)
+    integral: PPoly  # antiderivative of the features, (...)
     covered: BoolArray  # (T,) frames whose features are known
     time: Array  # (T,) s, video clock
     before: float  # s before the film for which its first frames are taken to hold
     after: float  # s after the film for which its last frames are taken to hold
+    # Of features (c,) for the regression so many tell the force along either axis by a coefficient of its own; behind
+    # them stand what the others tell of it along x, and then along y, by one coefficient for both.
+    own: int = 0
     doubt: float = 0.0  # s, sd of an offset found by it, beside what its evidence says
 
     @property
@@ -67,7 +58,7 @@ class Track:
         return float(self.time[-1] - self.time[0])
 
     def mean(self, centre: Array, width: float) -> Array:
-        """(N, 2, p) features averaged over `width` [s] around every `centre`; NaN where the film does not cover it."""
+        """(N, ...) features averaged over `width` [s] around every `centre`; NaN where the film does not cover it."""
         first_centre, last_centre = self.time[0] + width / 2, self.time[-1] - width / 2
         outside = (centre < first_centre - self.before) | (centre > last_centre + self.after)
         centre_held = np.where(outside, centre, np.clip(centre, first_centre, last_centre))
@@ -96,27 +87,29 @@ class Moments:
 class FilmFeatures:
     """All features of a film."""
 
-    time: Array  # (T,) s, of the frames; where there are too many, of means of neighbours
+    time: Array  # (T,) s, of the frames that are used
     rate: float  # Hz, bandwidth of the motion; NaN where nothing moves
     tracks: tuple[Track, ...]  # sets for the regression, the largest first
     moments: Moments | None
 
 
-def film_features(markers: Markers, push_s: float | None, settings: ClockSettings) -> FilmFeatures:
+def film_features(markers: Markers, push_s: float | None) -> FilmFeatures:
     """The features of the markers; without levers and moments where the place of the push `push_s` is not known."""
-    rate = motion_rate(markers)
-    markers = averaged(markers, settings.most_frames)
-    seen = gapless(markers, settings)
+    rate, every = motion_rate(markers), -(-len(markers.time) // MOST_FRAMES)
+    markers = replace(markers, **{name: getattr(markers, name)[::every] for name in ("time", "xy", "angle")})
+    seen = gapless(markers)
     if seen is None or seen.covered.sum() < FEWEST:
         return FilmFeatures(markers.time, rate, (), None)
-    polynomials, turns = monomials(seen.xy, seen.angle), None if push_s is None else levers(seen, push_s)
-    sets = [regressors(polynomials, None)]
-    if turns is not None and turns.shape[-1]:
-        sets = [*(regressors(scale * polynomials, turns) for scale in settings.corrections), *sets]
-    tracks = [seen.track(values) for values in sets]
-    with_load = np.concatenate([sets[0], load_errors(seen, settings.steps)], axis=2)
-    tracks.append(replace(seen.track(with_load), doubt=LOAD_DOUBT))
-    return FilmFeatures(markers.time, rate, tuple(tracks), None if push_s is None else make_moments(seen, push_s))
+    polynomials, bias = monomials(seen.xy, seen.angle), np.full((len(seen.time), 1), FREE)
+    with_load = seen.track(np.hstack([bias, polynomials, load_errors(seen)]))
+    tracks = [seen.track(np.hstack([bias, polynomials])), replace(with_load, doubt=LOAD_DOUBT)]
+    tracks = [replace(one, own=one.integral.c.shape[-1]) for one in tracks]
+    spans = None if push_s is None else turning_spans(seen, push_s)
+    if spans is not None and spans.turn.shape[1]:
+        pairs = FREE * levers(spans).reshape(len(seen.time), -1)
+        both = [seen.track(np.hstack([bias, scale * polynomials, pairs])) for scale in CORRECTIONS]
+        tracks = [*(replace(one, own=1 + polynomials.shape[1]) for one in both), *tracks]
+    return FilmFeatures(markers.time, rate, tuple(tracks), None if spans is None else make_moments(seen, spans))
 
 
 def motion_rate(markers: Markers) -> float:
@@ -124,31 +117,6 @@ def motion_rate(markers: Markers) -> float:
     flat = markers.xy.reshape(len(markers.time), -1)
     flat = flat[:, np.isfinite(flat).any(axis=0)]
     return bandwidth(markers.time, flat - np.nanmedian(flat, axis=0)) if flat.size else float("nan")
-
-
-def averaged(markers: Markers, most: int) -> Markers:
-    """The markers in at most `most` frames, each the mean of equally many neighbours; missing where half are."""
-    size = -(-len(markers.time) // most)
-    if size == 1:
-        return markers
-    count = len(markers.time) // size
-
-    def mean(values: Array) -> Array:
-        blocks = values[: count * size].reshape(count, size, *values.shape[1:])
-        seen = np.isfinite(blocks)
-        known = np.sum(seen, axis=1)
-        total = np.sum(np.where(seen, blocks, 0.0), axis=1)
-        return np.where(2 * known > size, total / np.maximum(known, 1), np.nan)
-
-    return replace(
-        markers,
-        time=mean(markers.time),
-        xy=mean(markers.xy),
-        angle=mean(markers.angle),
-        covariance=mean(markers.covariance) / size,
-        base_angle=mean(markers.base_angle),
-        by_camera=None if markers.by_camera is None else mean(markers.by_camera),
-    )
 
 
 @dataclass(frozen=True)
@@ -169,9 +137,9 @@ class GaplessMarkers:
         return Track(spline.antiderivative(), self.covered, self.time, self.before, self.after)
 
 
-def gapless(markers: Markers, settings: ClockSettings) -> GaplessMarkers | None:
-    """The markers; None where none is seen. A beam at rest at an end of the film stays so for `settings.hold`."""
-    used, covered = lasting(markers, settings.longest_gap)
+def gapless(markers: Markers) -> GaplessMarkers | None:
+    """The markers; None where none is seen. A beam at rest at an end of the film stays so for `HOLD`."""
+    used, covered = lasting(markers)
     if not used.any():
         return None
     markers, count = without_jumps(markers), len(markers.time)
@@ -179,14 +147,14 @@ def gapless(markers: Markers, settings: ClockSettings) -> GaplessMarkers | None:
     angle = bridged(markers.time, markers.angle[:, used])
     places = from_clamp(markers.s[used], flat.reshape(count, -1, 2), angle)
     ends = (slice(0, STILL), slice(-STILL, None))
-    before, after = (settings.hold if is_still(flat, rows) else 0.0 for rows in ends)
+    before, after = (HOLD if is_still(flat, rows) else 0.0 for rows in ends)
     return GaplessMarkers(markers.time, *places, covered, before, after)
 
 
 SPARED = 0.1  # of all frames
 
 
-def lasting(markers: Markers, longest_gap: float) -> tuple[BoolArray, BoolArray]:
+def lasting(markers: Markers) -> tuple[BoolArray, BoolArray]:
     """(m,) the markers with few frames in long gaps, at most `SPARED` more than the fewest, and (T,) the frames where
     none of these has a long gap: a hand that passes over the beam costs some frames, and no marker."""
     missing = ~(np.isfinite(markers.xy).all(axis=-1) & np.isfinite(markers.angle))
@@ -194,7 +162,7 @@ def lasting(markers: Markers, longest_gap: float) -> tuple[BoolArray, BoolArray]
     for i, column in enumerate(missing.T):
         for start, stop in runs(column):
             edge = start == 0 or stop == len(column)
-            if edge or markers.time[stop] - markers.time[start - 1] > longest_gap:
+            if edge or markers.time[stop] - markers.time[start - 1] > LONG_GAP:
                 long[start:stop, i] = True
     frames_missing = long.sum(axis=0)
     used = (frames_missing <= frames_missing.min() + SPARED * len(long)) & (frames_missing < len(long))
@@ -224,22 +192,15 @@ def is_still(moved: Array, rows: slice) -> bool:
     return bool(np.all(change < np.maximum(2e-3 * np.ptp(moved, axis=0).max(), 2 * noise)))
 
 
-def regressors(polynomials: Array, turns: Array | None) -> Array:
-    """(T, 2, p) features of the force: a bias and `polynomials` (T, q) for each axis, and `turns` of `levers`."""
-    per_axis = np.concatenate([np.full((len(polynomials), 1), FREE), polynomials], axis=1)
-    columns = [np.stack([per_axis, 0 * per_axis], axis=1), np.stack([0 * per_axis, per_axis], axis=1)]
-    return np.concatenate(columns + ([] if turns is None else [FREE * turns]), axis=2)
-
-
-def load_errors(seen: GaplessMarkers, size: float) -> Array:
-    """(T, 2, p) features of an error of the log that changes with the load; `size`: prior sd, per largest force."""
+def load_errors(seen: GaplessMarkers) -> Array:
+    """(T, p) features of an error of the log that changes with the load."""
     ramps = [
         np.clip(PARTS * change.fraction(seen.time) - i, 0.0, 1.0)
         for change in changes_of_load(seen)
         for i in range(PARTS)
     ]
     ramp = np.reshape(ramps, (len(ramps), len(seen.time))).T
-    return np.asarray((size / np.sqrt(PARTS) * ramp[:, None, :, None] * np.eye(2)[:, None]).reshape(len(ramp), 2, -1))
+    return np.asarray(STEPS / np.sqrt(PARTS) * ramp)
 
 
 def changes_of_load(seen: GaplessMarkers) -> list[LoadChange]:
@@ -267,40 +228,59 @@ def monomials(xy: Array, angle: Array) -> Array:
     return np.stack(terms, axis=1)
 
 
-def levers(seen: GaplessMarkers, push_s: float) -> Array:
-    """(T, 2, p) force that gives each span up to the push its turn at unit stiffness; the largest scaled to 1.
+@dataclass(frozen=True)
+class Spans:
+    """The k spans between tags up to the push that turn, of those between which the beam has a length."""
+
+    turn: Array  # (T, k) rad, since the first frames
+    mean: Array  # (T, k, 2) m, of the lever over each: moment = lever . force
+    slope: Array  # (T, k, 2) m, its first Legendre moment
+    tangent: Array  # (T, 2) change of all levers with the place of the push
+    whole: int  # so many of them end at or before the push
+
+
+def turning_spans(seen: GaplessMarkers, push_s: float) -> Spans:
+    """The spans up to the push at `push_s`."""
+    s, xy, angle = seen.s, seen.xy, seen.angle
+    spans = np.flatnonzero((s[:-1] < push_s - SHORTEST_SPAN) & (np.diff(s) > 0.0))
+    bend = angle - np.median(angle[:STILL], axis=0)
+    turn = bend[:, spans + 1] - bend[:, spans]
+    largest = np.abs(turn).max(axis=0, initial=0.0)
+    # Of the largest turn: a span that turns by less is not used.
+    good = largest > 0.02 * largest.max(initial=0.0)
+    spans, turn = spans[good], turn[:, good]
+    push = along(xy, angle, s, push_s)
+    beside = np.clip((push_s - s[:-1]) / np.maximum(np.diff(s), 1e-9), 0.0, 1.0)
+    x, weight = np.polynomial.legendre.leggauss(5)  # Gauss, on a span
+    ends = np.minimum(s[spans + 1], push_s)
+    lever = np.zeros((2, *turn.shape, 2))
+    for node, share in zip(x, 0.5 * weight, strict=True):
+        for i, place in enumerate(s[spans] + 0.5 * (node + 1.0) * (ends - s[spans])):
+            lever[:, :, i] += share * np.array([1.0, node])[:, None, None] * left_of(push - along(xy, angle, s, place))
+    whole = int(np.sum(s[spans + 1] <= push_s + SHORTEST_SPAN))
+    return Spans(turn, lever[0], lever[1], left_of(unit(angle[:, 0] + np.diff(angle, axis=1) @ beside)), whole)
+
+
+def levers(spans: Spans) -> Array:
+    """(T, 2, p) force that gives each span its turn at unit stiffness; the largest scaled to 1.
 
     Further features are the changes of the forces with each lever a quarter of the span before or behind the middle."""
-    s, xy, angle = seen.s, seen.xy, seen.angle
-    spans = np.flatnonzero(s[:-1] < push_s - SHORTEST_SPAN)
-    bend = angle - np.median(angle[:10], axis=0)
-    turns = bend[:, spans + 1] - bend[:, spans]
-    push = along(xy, angle, s, push_s)
-
-    def forces(part: Array) -> Array:
-        ends = np.minimum(s[spans + 1], push_s)
-        places = s[spans] + part * (ends - s[spans])
-        arms = push[:, None] - np.stack([along(xy, angle, s, place) for place in places], axis=1)
-        return unit_forces(arms, turns)
-
-    middle = np.full(len(spans), 0.5)
-    moved = np.abs(turns).max(axis=0, initial=0.0) > 0.02 * np.abs(turns).max(initial=0.0)
-    if not moved.any():
-        return np.empty((len(xy), 2, 0))
-    base = forces(middle)[..., moved]
-    size = np.abs(base).max(axis=(0, 1))
-    shifts = [forces(middle + 0.25 * unit) - forces(middle - 0.25 * unit) for unit in np.eye(len(spans))]
+    base = unit_forces(spans.mean, spans.turn)
+    size, quarter = np.abs(base).max(axis=(0, 1)), 1.5 * spans.slope
+    shifts = [
+        unit_forces(spans.mean + quarter * one[:, None], spans.turn)
+        - unit_forces(spans.mean - quarter * one[:, None], spans.turn)
+        for one in np.eye(len(size))
+    ]
     # Prior sd of the change with a span's lever, per largest force.
-    changes = [1.0 / FREE * shift[..., moved] / size for shift in shifts]
-    return np.concatenate([base / size, *changes], axis=2)
+    return np.concatenate([base / size, *(1.0 / FREE * shift / size for shift in shifts)], axis=2)
 
 
-def unit_forces(arms: Array, turns: Array) -> Array:
-    """(T, 2, k) the force of least ridge-weighted misfit whose moment over the `arms` (T, k, 2) is each of `turns`."""
-    rows = np.stack([-arms[..., 1], arms[..., 0]], axis=-1)
-    ridge = RIDGE * float((arms**2).sum(axis=-1).max())
-    inner = np.einsum("tia,tib->tab", rows, rows) + ridge * np.eye(2)
-    return np.asarray(np.linalg.solve(inner, rows.transpose(0, 2, 1)) * turns[:, None, :])
+def unit_forces(lever: Array, turn: Array) -> Array:
+    """(T, 2, k) the force of least ridge-weighted misfit whose moment by the `lever` (T, k, 2) is each of `turn`."""
+    ridge = RIDGE * float((lever**2).sum(axis=-1).max())
+    inner = np.einsum("tia,tib->tab", lever, lever) + ridge * np.eye(2)
+    return np.asarray(np.linalg.solve(inner, lever.transpose(0, 2, 1)) * turn[:, None, :])
 
 
 def along(xy: Array, angle: Array, s: Array, place: float) -> Array:
@@ -322,45 +302,20 @@ def along(xy: Array, angle: Array, s: Array, place: float) -> Array:
     )
 
 
-def make_moments(seen: GaplessMarkers, push_s: float) -> Moments | None:
+def make_moments(seen: GaplessMarkers, spans: Spans) -> Moments | None:
     """Moments of the spans; None where fewer than `FEWEST_SPANS` whole spans before the push turn: most of the
     information is then in the places of the tags beyond."""
-    if len(seen.time) < STILL:
+    if spans.whole < FEWEST_SPANS:
         return None
-    s, xy, angle = seen.s, seen.xy, seen.angle
-    spans = np.flatnonzero((s[:-1] < push_s - SHORTEST_SPAN) & (np.diff(s) > 0.0))
-    bend = angle - np.median(angle[:STILL], axis=0)
-    turns = bend[:, spans + 1] - bend[:, spans]
-    largest = np.abs(turns).max(axis=0, initial=0.0)
-    # Of the largest turn: a span that turns by less is not used.
-    good = (largest > 0.02 * largest.max(initial=0.0)) & (largest > 0.0)
-    if np.sum(good & (s[spans + 1] <= push_s + SHORTEST_SPAN)) < FEWEST_SPANS:
-        return None
-    spans, turns, largest = spans[good], turns[:, good], largest[good]
-    mean, slope, tangent = span_levers(xy, angle, s, spans, push_s)
-    noise = MAD_TO_SD * np.median(np.abs(np.diff(turns, n=2, axis=0)), axis=0) / np.sqrt(6.0)
+    noise = MAD_TO_SD * np.median(np.abs(np.diff(spans.turn, n=2, axis=0)), axis=0) / np.sqrt(6.0)
+    largest = np.abs(spans.turn).max(axis=0)
     return Moments(
-        seen.track(np.concatenate([turns[..., None], mean, slope], axis=-1)),
-        seen.track(np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)),
+        seen.track(np.concatenate([spans.turn[..., None], spans.mean, spans.slope], axis=-1)),
+        seen.track(spans.tangent),
         seen.track(load_change_ramps(seen)),
         np.maximum(noise, 0.001 * largest),  # of a span's largest turn: least noise of the turn
         largest,
     )
-
-
-def span_levers(xy: Array, angle: Array, s: Array, spans: IntArray, push_s: float) -> tuple[Array, Array, Array]:
-    """(T, k, 2) m mean lever over each span, its first Legendre moment; and the beam's direction (T, 2) at the push."""
-    push = along(xy, angle, s, push_s)
-    beside = np.clip((push_s - s[:-1]) / np.maximum(np.diff(s), 1e-9), 0.0, 1.0)
-    direction = angle[:, 0] + np.diff(angle, axis=1) @ beside
-    x, weight = np.polynomial.legendre.leggauss(5)  # Gauss, on a span
-    ends = np.minimum(s[spans + 1], push_s)
-    lever = np.zeros((2, len(xy), len(spans), 2))
-    for node, share in zip(x, 0.5 * weight, strict=True):
-        places = s[spans] + 0.5 * (node + 1.0) * (ends - s[spans])
-        arm = push[:, None] - np.stack([along(xy, angle, s, place) for place in places], axis=1)
-        lever += share * np.array([1.0, node])[:, None, None, None] * np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
-    return lever[0], lever[1], np.stack([np.cos(direction), np.sin(direction)], axis=1)
 
 
 def load_change_ramps(seen: GaplessMarkers) -> Array:

@@ -16,7 +16,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
 from onebend.recording.clock_evidence import BinnedLog, Prior, mixed, moments_of
-from onebend.recording.clock_features import FEWEST, LOAD_DOUBT, RIDGE, STILL, Moments
+from onebend.recording.clock_features import FEWEST, LOAD_DOUBT, STILL, Moments, unit_forces
 from onebend.recording.force_noise import TimeSpans, covariance, first_guess, likeliest_noise
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, ForceNoise
 
@@ -77,9 +77,7 @@ def rough_compliance(rows: MomentsAtRows, force: Array) -> tuple[Array, float, A
     """
     count, spans = rows.turn.shape
     lever = rows.lever[:, 0]
-    ridge = RIDGE * float((lever**2).sum(axis=-1).max())
-    inner = np.einsum("nka,nkb->nab", lever, lever) + ridge * np.eye(2)
-    part = np.linalg.solve(inner, lever.transpose(0, 2, 1)) * rows.turn[:, None, :]
+    part = unit_forces(lever, rows.turn)
     axes = np.tile(np.eye(2), (count, 1))
     design = np.hstack([part.reshape(2 * count, spans), axes, -axes])
     size = np.linalg.norm(design, axis=0)

@@ -12,7 +12,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.special import chdtri
 
 from onebend.errors import ObservationError
-from onebend.recording import bag_topics, beam_frame, clock_features, force_noise
+from onebend.recording import bag_topics, beam_frame, force_noise
 from onebend.recording.clock import ClockFit, fit_clock
 from onebend.recording.entries import Recording
 from onebend.recording.force_log import FEWEST_ROWS, noise_remarks, read_force_log, refuse_other_unit, size_remarks
@@ -23,17 +23,12 @@ from onebend.records import Array, BoolArray, CleanForce, ClockOffset, ForceLog,
 # swings with no more force than before the push. All else is contact.
 
 
-@dataclass(frozen=True)
-class ContactSettings:
-    """Thresholds between contact and rest."""
-
-    window: int = 5  # frames averaged
-    first: int = 10  # frames that must show the beam at rest
-    chance: float = 1e-6  # of a false contact in one frame, were the noise as estimated
-    returned: float = 0.005  # of the largest displacement: nearer to the first rest than this is back at rest
-    shortest_rest: float = 0.25  # s
-    margin: float = 0.1  # s, taken off a rest where it borders on contact: the tool touches before markers show it
-    released: float = 0.05  # of the largest force: less than this, to the end, is no force
+WINDOW, FIRST = 5, 10  # frames that are averaged, and that must show the beam at rest
+CHANCE = 1e-6  # of a false contact in one frame, were the noise as estimated
+RETURNED = 0.005  # of the largest displacement: nearer to the first rest than this is back at rest
+SHORTEST_REST = 0.25  # s
+MARGIN = 0.1  # s, taken off a rest where it borders on contact: the tool touches before markers show it
+RELEASED = 0.05  # of the largest force: less than this, to the end, is no force
 
 
 @dataclass(frozen=True)
@@ -46,16 +41,10 @@ class Contact:
     remarks: tuple[Remark, ...] = ()
 
 
-def find_contact(
-    markers: Markers,
-    log: ForceLog | None = None,
-    *,
-    offset: float = 0.0,
-    settings: ContactSettings = ContactSettings(),
-) -> Contact:
+def find_contact(markers: Markers, log: ForceLog | None = None, *, offset: float = 0.0) -> Contact:
     """Rest and contact of a film, with the force log (own clock = video clock + `offset`) where there is one."""
     time = markers.time
-    departed, threshold = departure(markers, settings)
+    departed, threshold = departure(markers)
     if not departed[0] <= threshold:
         text = (
             "The beam moves from the first frame on: no rest before contact is seen, so the force has no zero. "
@@ -65,13 +54,13 @@ def find_contact(
         remark = Remark("warning", text, about="no rest")
         return Contact(loaded, (), np.zeros(len(time), dtype=bool), (remark,))
     first = int(np.argmax(departed > threshold)) if np.any(departed > threshold) else len(time)
-    returned = departed < max(threshold, settings.returned * float(departed.max()))
+    returned = departed < max(threshold, RETURNED * float(departed.max()))
     returned[:first] = True
-    still = long_enough(returned, time, settings.shortest_rest)
+    still = long_enough(returned, time)
     free = still.copy()
     remarks: list[Remark] = []
     if log is not None and not free[-1]:
-        released = release(log, time[free & (time < time[min(first, len(time) - 1)])] + offset, settings) - offset
+        released = release(log, time[free & (time < time[min(first, len(time) - 1)])] + offset) - offset
         if released < time[-1]:
             free |= time >= released
             if np.any(~still & free):
@@ -79,12 +68,12 @@ def find_contact(
     if not free[: max(first, 1)].any():
         text = "The rest before contact is too short to use: the force has no zero. Record three still seconds."
         remarks.append(Remark("warning", text, about="no rest"))
-    spans = tuple(shrunk(time, start, stop, settings) for start, stop in runs(free))
-    rests = tuple((low, high) for low, high in spans if high - low >= 0.5 * settings.shortest_rest)
+    spans = tuple(shrunk(time, start, stop) for start, stop in runs(free))
+    rests = tuple((low, high) for low, high in spans if high - low >= 0.5 * SHORTEST_REST)
     return Contact(~free, rests, still & free, tuple(remarks))
 
 
-def departure(markers: Markers, settings: ContactSettings) -> tuple[Array, float]:
+def departure(markers: Markers) -> tuple[Array, float]:
     """(T,) distance of every frame from the first frames in sd of the noise, and how far noise alone would go.
 
     The noise of each coordinate is the larger of what second differences say and the scatter of the first frames;
@@ -92,18 +81,18 @@ def departure(markers: Markers, settings: ContactSettings) -> tuple[Array, float
     """
     count = len(markers.time)
     flat = np.concatenate([markers.xy.reshape(count, -1), markers.angle], axis=1)
-    measured = np.isfinite(flat).sum(axis=0) > settings.window
+    measured = np.isfinite(flat).sum(axis=0) > WINDOW
     filled = bridged(markers.time, flat[:, measured])
     if not filled.size:
         return np.full(count, np.inf), 0.0
     bends = np.abs(np.diff(filled, n=2, axis=0)) / np.sqrt(6)
     # Tracks rounded to a few digits jump seldom but far: the mean square sees that, the median does not.
-    early = np.sqrt(np.mean(bends[: settings.first] ** 2, axis=0))
+    early = np.sqrt(np.mean(bends[:FIRST] ** 2, axis=0))
     floor = 1e-5 * float(np.abs(filled).max()) + np.finfo(float).tiny
     quick = floor + np.maximum(np.median(bends, axis=0) * MAD_TO_SD, early)
-    smooth = uniform_filter1d(filled, settings.window, axis=0, mode="nearest")
-    first_frames = min(count, settings.first)
-    threshold = 2.0 * float(np.sqrt(chdtri(filled.shape[1], settings.chance) / settings.window))
+    smooth = uniform_filter1d(filled, WINDOW, axis=0, mode="nearest")
+    first_frames = min(count, FIRST)
+    threshold = 2.0 * float(np.sqrt(chdtri(filled.shape[1], CHANCE) / WINDOW))
     distance = np.zeros(count)
     for _ in range(3):
         rest = filled[:first_frames]
@@ -113,12 +102,12 @@ def departure(markers: Markers, settings: ContactSettings) -> tuple[Array, float
             distance[0] = np.inf
             return distance, threshold
         beyond = distance > threshold
-        steady = uniform_filter1d(beyond.astype(float), settings.window, mode="nearest") > 0.9
-        first_frames = max(int(np.argmax(steady)) - settings.window, first_frames) if steady.any() else count
+        steady = uniform_filter1d(beyond.astype(float), WINDOW, mode="nearest") > 0.9
+        first_frames = max(int(np.argmax(steady)) - WINDOW, first_frames) if steady.any() else count
     return distance, threshold
 
 
-def release(log: ForceLog, rest: Array, settings: ContactSettings) -> float:
+def release(log: ForceLog, rest: Array) -> float:
     """Time on the log's clock from which the force stays what it was in `rest` [s, log's clock]; infinite if never."""
     good = ~outliers(log.force, spacing=step(log.time))
     time, force = log.time[good], log.force[good]
@@ -130,37 +119,31 @@ def release(log: ForceLog, rest: Array, settings: ContactSettings) -> float:
     span = max(1, round(width / float(np.median(np.diff(time)))))
     size = np.linalg.norm(uniform_filter1d(change, span, axis=0, mode="nearest"), axis=1)
     noise = float(np.sqrt(np.mean(size[before] ** 2)))
-    pushed = np.flatnonzero(size > max(6 * noise, settings.released * size.max()))
-    if not len(pushed) or time[-1] - time[pushed[-1]] < 2 * settings.shortest_rest:
+    pushed = np.flatnonzero(size > max(6 * noise, RELEASED * size.max()))
+    if not len(pushed) or time[-1] - time[pushed[-1]] < 2 * SHORTEST_REST:
         return float("inf")
     return float(time[pushed[-1]] + width / 2)
 
 
-def long_enough(mask: BoolArray, time: Array, shortest: float) -> BoolArray:
-    """`mask` without runs of True shorter than `shortest` [s]."""
+def long_enough(mask: BoolArray, time: Array) -> BoolArray:
+    """`mask` without runs of True shorter than a rest."""
     kept_runs = np.zeros_like(mask)
     for start, stop in runs(mask):
-        if time[stop - 1] - time[start] >= shortest:
+        if time[stop - 1] - time[start] >= SHORTEST_REST:
             kept_runs[start:stop] = True
     return kept_runs
 
 
-def shrunk(time: Array, start: int, stop: int, settings: ContactSettings) -> tuple[float, float]:
+def shrunk(time: Array, start: int, stop: int) -> tuple[float, float]:
     """The span of the frames [start, stop) less the margin beside contact, open where the film begins or ends."""
-    low = -np.inf if start == 0 else float(time[start]) + settings.margin
-    high = np.inf if stop == len(time) else float(time[stop - 1]) - settings.margin
+    low = -np.inf if start == 0 else float(time[start]) + MARGIN
+    high = np.inf if stop == len(time) else float(time[stop - 1]) - MARGIN
     return low, high
 
 
-@dataclass(frozen=True)
-class ForceSettings:
-    """How the log is cleaned."""
-
-    overtone: float = 2.0  # cut-off over the bandwidth of the markers' motion: see `choose_cutoff`
-    # s of a rest, nearest to contact, for the zero; a longer one adds drift, a shorter one noise
-    tare_span: float = 3.0
-    outlier_sd: float = 6.0
-    longest_gap: float = 0.1  # s, or as long as the filter's memory where that is longer: a longer gap stays a gap
+OVERTONE = 2.0  # cut-off over the bandwidth of the markers' motion: see `choose_cutoff`
+TARE_SPAN = 3.0  # s of a rest, nearest to contact, for the zero; a longer one adds drift, a shorter one noise
+LONGEST_GAP = 0.1  # s, or as long as the filter's memory where that is longer: a longer gap stays a gap
 
 
 @dataclass(frozen=True)
@@ -178,13 +161,13 @@ class Zero:
         return np.stack([np.interp(time, self.time, column) for column in self.value.T], axis=1)
 
 
-def choose_cutoff(motion: float, settings: ForceSettings) -> float:
+def choose_cutoff(motion: float) -> float:
     """Cut-off of the low-pass from the bandwidth `motion` [Hz] of the markers; infinite where that is not known.
 
     A beam that moves slowly is in equilibrium with the force, so the force is a function of the markers'
     displacements. The function is nonlinear: its square terms double the bandwidth. Hence twice that of the markers.
     """
-    return settings.overtone * motion if np.isfinite(motion) and motion > 0 else math.inf
+    return OVERTONE * motion if np.isfinite(motion) and motion > 0 else math.inf
 
 
 def clean_force(
@@ -195,7 +178,6 @@ def clean_force(
     acts_on: Literal["beam", "robot"] = "beam",
     cutoff: float = math.inf,
     noise: ForceNoise | None = None,
-    settings: ForceSettings = ForceSettings(),
 ) -> CleanForce:
     """Force on the beam in the beam's frame, F = +-R(rotation) F_log, without outliers, zeroed at `rests` and filtered.
 
@@ -204,13 +186,13 @@ def clean_force(
     keeps its bias, its noise is unknown (NaN) and a warning says so. `noise` is what is known of the sensor's noise
     (from the clock search); without it the scatter at rest stands for it, and drift is not in `noise_sd`.
     """
-    bad = outliers(log.force, spacing=step(log.time), threshold=settings.outlier_sd)
+    bad = outliers(log.force, spacing=step(log.time))
     force = log.force @ to_beam(rotation)
     if acts_on == "robot":
         force = -force
     force[bad] = np.stack([np.interp(log.time[bad], log.time[~bad], column[~bad]) for column in force.T], axis=1)
-    smooth = low_pass(log.time, force, cutoff, longest_gap=gap_limit(log.time, cutoff, settings))
-    zero = zero_of(log.time, force, rests, noise, settings)
+    smooth = low_pass(log.time, force, cutoff, longest_gap=gap_limit(log.time, cutoff))
+    zero = zero_of(log.time, force, rests, noise)
     clean = smooth - zero.at(log.time)
     remarks = zero_remarks(zero, float(np.abs(clean).max()), cutoff)
     noise_sd = remaining_sd(log.time, smooth, rests, zero, cutoff, noise)
@@ -245,9 +227,7 @@ def within(time: Array, span: tuple[float, float]) -> BoolArray:
     return np.asarray((time >= span[0]) & (time <= span[1]))
 
 
-def zero_of(
-    time: Array, force: Array, rests: Sequence[tuple[float, float]], noise: ForceNoise | None, settings: ForceSettings
-) -> Zero:
+def zero_of(time: Array, force: Array, rests: Sequence[tuple[float, float]], noise: ForceNoise | None) -> Zero:
     """Mean force over each rest, of the part nearest to contact where the rest is long."""
     times, values, sizes = [], [], []
     for i, span in enumerate(rests):
@@ -256,7 +236,7 @@ def zero_of(
             continue
         # The first rest is followed by contact, later ones are preceded by it.
         distance = time[rows[-1]] - time[rows] if i == 0 else time[rows] - time[rows[0]]
-        rows = rows[distance <= settings.tare_span]
+        rows = rows[distance <= TARE_SPAN]
         if len(rows) >= 2:
             times.append(float(np.mean(time[rows])))
             values.append(np.mean(force[rows], axis=0))
@@ -318,10 +298,10 @@ def zero_remarks(zero: Zero, largest: float, cutoff: float) -> tuple[Remark, ...
     return tuple(remarks)
 
 
-def gap_limit(time: Array, cutoff: float, settings: ForceSettings = ForceSettings()) -> float:
+def gap_limit(time: Array, cutoff: float) -> float:
     """Longest span between two rows that may be interpolated, s."""
     memory = 1 / (2 * math.pi * cutoff) if math.isfinite(cutoff) and cutoff > 0 else 0.0
-    return max(settings.longest_gap, memory, 3 * step(time))
+    return max(LONGEST_GAP, memory, 3 * step(time))
 
 
 def read_log(rec: Recording) -> ForceLog | None:
@@ -336,12 +316,7 @@ def read_log(rec: Recording) -> ForceLog | None:
 
 
 def match_clocks(
-    rec: Recording,
-    markers: Markers,
-    log: ForceLog | None,
-    base: beam_frame.BaseLog | None,
-    clock: clock_features.ClockSettings,
-    force: ForceSettings,
+    rec: Recording, markers: Markers, log: ForceLog | None, base: beam_frame.BaseLog | None
 ) -> tuple[ForceLog | None, ClockFit]:
     """The offset from the force, else from the base's turn, else as written; 0 where there is no second clock.
 
@@ -359,15 +334,15 @@ def match_clocks(
 
         def fitted(log: ForceLog) -> ClockFit:
             turned = replace(log, force=log.force @ axes)
-            return fit_clock(markers, turned, stated, uncertainty, push_s=place, settings=clock)
+            return fit_clock(markers, turned, stated, uncertainty, push_s=place)
 
         fit = fitted(log)
         if fit.lag is not None:
-            log, remark = without_lag(log, fit.lag, choose_cutoff(fit.rate, force)), _slow_words(fit.lag)
+            log, remark = without_lag(log, fit.lag, choose_cutoff(fit.rate)), _slow_words(fit.lag)
             fit = fitted(log)
             fit = replace(fit, remarks=(remark, *fit.remarks))
     if base is not None and not fit.clock.found:
-        base_offset = beam_frame.base_clock(markers, base, stated, uncertainty, margin=clock.margin)
+        base_offset = beam_frame.base_clock(markers, base, stated, uncertainty)
         if base_offset.found or log is None:
             fit = ClockFit(base_offset, rate=fit.rate)
     if not math.isfinite(fit.clock.offset):
@@ -380,7 +355,7 @@ def match_clocks(
     beam_frame.check_overlap(markers, times, fit.clock.offset, "force log" if log is not None else "base angle log")
     if log is not None:
         begin, end = markers.time[[0, -1]] + fit.clock.offset
-        log = log.rows(within(log.time, (begin - force.tare_span, end + force.tare_span)))
+        log = log.rows(within(log.time, (begin - TARE_SPAN, end + TARE_SPAN)))
     return log, fit
 
 
@@ -423,7 +398,7 @@ def without_lag(log: ForceLog, tau: float, cutoff: float) -> ForceLog:
     return replace(log, force=smooth + tau * np.gradient(smooth, log.time, axis=0))
 
 
-def cleaned(rec: Recording, log: ForceLog, contact: Contact, fit: ClockFit, settings: ForceSettings) -> CleanForce:
+def cleaned(rec: Recording, log: ForceLog, contact: Contact, fit: ClockFit) -> CleanForce:
     """The force on the beam, its cut-off from the markers' motion and its zero from the rests."""
     assert rec.force is not None
     offset = fit.clock.offset
@@ -432,21 +407,15 @@ def cleaned(rec: Recording, log: ForceLog, contact: Contact, fit: ClockFit, sett
         [(low + offset, high + offset) for low, high in contact.rests],
         rotation=rec.force.rotation,
         acts_on=rec.force.acts_on,
-        cutoff=choose_cutoff(fit.rate, settings),
+        cutoff=choose_cutoff(fit.rate),
         noise=fit.noise,
-        settings=settings,
     )
     refuse_other_unit(clean.force, rec.beam.mass, rec.name)
     return replace(clean, remarks=(*clean.remarks, *size_remarks(clean.force, rec.beam.mass)))
 
 
 def force_at(
-    clean: CleanForce,
-    time: Array,
-    push_s: float = math.nan,
-    *,
-    epsilon: float | None = None,
-    settings: ForceSettings = ForceSettings(),
+    clean: CleanForce, time: Array, push_s: float = math.nan, *, epsilon: float | None = None
 ) -> tuple[Array, Array]:
     """(T, 2) N force and (T,) place of the push at the times `time` [s, log's clock]; NaN where the log is silent.
 
@@ -459,7 +428,7 @@ def force_at(
         close = np.abs(clean.time[row] - time) <= epsilon
         seen = np.where(close[:, None], columns[row], np.nan)
     else:
-        seen = at_times(clean.time, columns, time, longest_gap=gap_limit(clean.time, clean.cutoff, settings))
+        seen = at_times(clean.time, columns, time, longest_gap=gap_limit(clean.time, clean.cutoff))
     if clean.push_s is None:
         return seen, np.full(len(time), push_s)
     return seen[:, :2], seen[:, 2]

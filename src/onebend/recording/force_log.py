@@ -18,7 +18,7 @@ from onebend.text_files import is_number
 
 # O_F_ext_hat_K[0], field.O_F_ext_hat_K0, state.K_F_ext_hat_K_0, .../wrench/force/x, field.wrench.force.x, ...
 ESTIMATE = re.compile(r"^(?:.*[./ ])?([OK]_F_ext_hat_K)[\[_.]?(\d)\]?$", re.IGNORECASE)
-VECTOR = re.compile(r"^(.*force[./_ ]?)([xyz])$", re.IGNORECASE)
+VECTOR = re.compile(r"^(.*force[./_ ]?|f[_ ]?)([xyz])([_ \[(/].*)?$", re.IGNORECASE)  # and fx_N, Force X (N), ...
 TIMES = {"%time": "ns", "field.header.stamp": "ns", "time": "ms", "timestamp": "", "stamp": "", "t": "", "__time": "s"}
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from onebend import records
 from onebend.errors import ObservationError, RecordingError
 from onebend.options import option
 from onebend.progress import Progress, Silent, one_blas_thread
-from onebend.recording import clock_features, force as forces, force_axes, outline, photos, poses, stated, tracks
+from onebend.recording import force as forces, force_axes, outline, photos, poses, stated, tracks
 from onebend.recording.beam_frame import BaseLog, RestShape, gravity_in_frame, read_base_log, rest_shape, to_beam_frame
 from onebend.recording.camera import measure_markers, measure_tags, with_checked_turns
 from onebend.recording.entries import Recording, TagsEntry, VideoEntry
@@ -35,9 +35,6 @@ class ObserveSettings:
     threads: int | None = option("--threads", None, metavar="N", within=(1, None))
     epsilon: float | None = option("--epsilon-s", None, within=(0.0, 1e9))
     check_force: bool = True  # refuse a force that contradicts the bending
-    clock: clock_features.ClockSettings = field(default_factory=clock_features.ClockSettings)
-    contact: forces.ContactSettings = field(default_factory=forces.ContactSettings)
-    force: forces.ForceSettings = field(default_factory=forces.ForceSettings)
 
 
 class Detect(Protocol):
@@ -89,7 +86,7 @@ def _shown(
     log = forces.read_log(rec)
     base = read_base_log(rec.gravity.base_angle_file) if rec.gravity and rec.gravity.base_angle_file else None
     if rec.markers is not None:
-        return assemble(rec, tracks.track_markers(rec, settings.contact), log, base, settings)
+        return assemble(rec, tracks.track_markers(rec), log, base, settings)
     if rec.video is None:
         raise ObservationError(f"{rec.folder}: recording.toml names no [video]. Add one.")
     if detections is None:
@@ -185,17 +182,17 @@ def _assembled(
     check_span(markers.time, rec.name, most=MOST_FRAMES)
     # Clocks and contact are read with angles; only measured ones are learned from.
     reading = tracks.with_angles(records.of_markers(markers, records.read_before_fit(markers)))
-    log, fit = forces.match_clocks(rec, reading, log, base, settings.clock, settings.force)
-    contact = forces.find_contact(reading, log, offset=fit.clock.offset, settings=settings.contact)
+    log, fit = forces.match_clocks(rec, reading, log, base)
+    contact = forces.find_contact(reading, log, offset=fit.clock.offset)
     time, clean = markers.time + fit.clock.offset, None
     force, push_s, loaded = np.zeros((len(time), 2)), np.full(len(time), np.nan), np.zeros(len(time), dtype=bool)
     if log is not None:
         moved = displacement(time, reading.xy, reading.xy[0])
         bent = np.interp(log.time, time, moved / max(float(np.max(moved)), np.finfo(float).tiny))
         log = replace(log, remarks=(*log.remarks, *at_its_end(log.force, bent)))
-        clean = forces.cleaned(rec, log, contact, fit, settings.force)
+        clean = forces.cleaned(rec, log, contact, fit)
         at_s = rec.push.at if rec.push else np.nan
-        force, push_s = forces.force_at(clean, time, at_s, epsilon=settings.epsilon, settings=settings.force)
+        force, push_s = forces.force_at(clean, time, at_s, epsilon=settings.epsilon)
         loaded = contact.loaded
     gravity = gravity_in_frame(rec.gravity, base, markers, time)
     in_frame, rest, frame_remarks = to_beam_frame(markers, contact.still, rec.tags.placement_sd, gravity)
@@ -217,20 +214,9 @@ def _assembled(
         clean_force=clean,
         remarks=(*remarks, *implausible, *drop_remarks),
     )
-    loads = LoadsAtFrames(time, gravity, force, push_s, loaded)
     force_sd = np.zeros(2) if clean is None else clean.noise_sd
-    return observations_of(rec, source, in_frame, rest, loads, force_sd, use)
-
-
-@dataclass(frozen=True)
-class LoadsAtFrames:
-    """The loads on the beam in every frame, on the log's clock."""
-
-    time: records.Array  # (T,) s
-    gravity: records.Array  # (T, 2) m/s^2
-    force: records.Array  # (T, 2) N, NaN where the log has no row
-    push_s: records.Array  # (T,)
-    loaded: records.BoolArray  # (T,)
+    loads = {"time": time, "gravity": gravity, "force": force, "push_s": push_s, "loaded": loaded}
+    return observations_of(rec, source, in_frame, rest, force_sd, use, **loads)
 
 
 def observations_of(
@@ -238,11 +224,12 @@ def observations_of(
     source: records.Source,
     markers: records.Markers,
     rest: RestShape,
-    loads: LoadsAtFrames,
     force_sd: records.Array,
     use: records.BoolArray,
+    **loads: Any,
 ) -> records.Observations:
-    """The frames `use` (T,) of what was read, in one record."""
+    """The frames `use` (T,) of what was read, in one record; `loads`: fields of it with a row a frame."""
+    of_frames = loads | {name: getattr(markers, name) for name in ("xy", "angle", "covariance")}
     return records.Observations(
         source=source,
         stated=stated.stated_in(rec),
@@ -250,14 +237,11 @@ def observations_of(
         frame=np.flatnonzero(use).astype(np.int64),
         tag_id=markers.tag_id,
         marker_s=markers.s,
-        xy=markers.xy[use],
-        angle=markers.angle[use],
-        covariance=markers.covariance[use],
         force_sd=force_sd,
         rest_xy=rest.xy,
         rest_angle=rest.angle,
         rest_covariance=rest.covariance,
         by_camera=None if markers.by_camera is None else markers.by_camera[use],
         traced=markers.traced,
-        **{name: values[use] for name, values in vars(loads).items()},
+        **{name: values[use] for name, values in of_frames.items()},
     )

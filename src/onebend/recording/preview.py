@@ -12,6 +12,7 @@ import numpy as np
 from onebend.errors import OnebendError, told
 from onebend.progress import available_cores
 from onebend.recording import camera, entries, outline, tag_finder
+from onebend.recording.force_noise import displacement
 from onebend.recording.tags import refuse_doubles, refuse_unseen, sure_doubles, take, unseen_remarks
 from onebend.recording.tool import ToolPlace, not_seen, tool_in, tool_remarks
 from onebend.recording.video import FilmFrame, picture_in, timed
@@ -39,22 +40,18 @@ class Preview:
     def shown(self) -> int:
         """Which of the looked at frames says most: the one in which the beam is bent most, else with most tags."""
         if self.markers is not None:
-            return int(np.argmax(displacement(self.markers)))
+            return int(np.argmax(moved(self.markers)))
         return int(np.argmax([len(seen) for seen in self.sightings]))
 
 
-def displacement(markers: Markers) -> Array:
-    """(P,) m, root mean square distance of the tags from where the first frame shows them; 0 where none is seen."""
-    away = markers.xy - np.nan_to_num(markers.xy[:1], nan=0.0)
-    away[:, ~np.isfinite(markers.xy[0]).all(axis=-1)] = np.nan
-    square = np.sum(away**2, axis=-1)
-    seen = np.isfinite(square)
-    return np.asarray(np.sqrt(np.where(seen, square, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)))
+def moved(markers: Markers) -> Array:
+    """(P,) m, how far the tags are from where the first frame shows them."""
+    return displacement(markers.time, markers.xy, markers.xy[0])
 
 
 def bent(markers: Markers) -> BoolArray:
     """(P,) the frames in which the beam is not as in the first, where it is taken to be at rest."""
-    away = displacement(markers)
+    away = moved(markers)
     # Of the largest displacement: nearer to the first frame than this is at rest.
     return np.asarray(away > 0.05 * float(away.max()))
 

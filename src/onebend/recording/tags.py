@@ -6,7 +6,7 @@ import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import islice
 from queue import SimpleQueue
 from typing import TypeVar
@@ -108,33 +108,29 @@ def track_block(
         followed(more, 1)
         searched[more] = True
         step //= 2
-    tracks = tag_finder.correct_still(frames, tracks[known:], finder.cells)
     height, width = frames[0].luma.shape
     times = np.array([frame.time for frame in frames])
-    return BlockTracks(times, tracks, searched[known:], (height, width), looks, tuple(strangers), tuple(doubles))
+    found = tuple(strangers), tuple(doubles)
+    return BlockTracks(times, tracks[known:], searched[known:], (height, width), looks, *found)
 
 
 def uneven(tracks: Array, searched: BoolArray, phase: IntArray, step: int) -> IntArray:
     """Rows of `tracks` (T, m, 4, 2) in the middle between rows `step` apart, of which `phase` (T,) is 0, that the tags
     do not pass evenly. Rows beside what was not `searched` (T,) are passed evenly."""
-    half, centre = step // 2, tracks.mean(axis=2)
-    bent = np.zeros(len(tracks))
-    for t in np.flatnonzero(searched & (phase == 0)).tolist():
-        sides = [u for u in (t - step, t + step) if 0 <= u < len(tracks)]
-        if len(sides) < 2 or not searched[sides].all():
-            continue
-        change = np.linalg.norm(centre[t - step] - 2.0 * centre[t] + centre[t + step], axis=-1)
-        shown = np.isfinite(centre[[t - step, t, t + step]]).all(axis=-1)
-        comes_or_goes = shown.any(axis=0) != shown.all(axis=0)
-        bent[t] = np.inf if comes_or_goes.any() else np.nan_to_num(change).max()
-    out = []
-    for t in np.flatnonzero(phase == half).tolist():
-        sides = [u for u in (t - half, t + half) if 0 <= u < len(tracks)]
-        around = [u for u in (t - half - step, *sides, t + half + step) if 0 <= u < len(tracks)]
-        # px by which a tag's way may bend between searched frames; an eighth of it is off halfway.
-        if searched[sides].all() and bent[around].max() > 0.5:
-            out.append(t)
-    return np.array(out, dtype=np.int64)
+    half, centre, beyond = step // 2, tracks.mean(axis=2), 2 * step
+    rows = np.flatnonzero(searched & (phase == 0))
+    known = np.pad(searched, beyond)
+    rows = rows[known[beyond + rows - step] & known[beyond + rows + step]]
+    near = centre[[rows - step, rows, rows + step]]  # (3, n, m, 2)
+    shown = np.isfinite(near).all(axis=-1)
+    comes_or_goes = (shown.any(axis=0) != shown.all(axis=0)).any(axis=-1)
+    change = np.nan_to_num(np.linalg.norm(near[0] - 2.0 * near[1] + near[2], axis=-1)).max(axis=-1)
+    bent, known = np.zeros(len(known)), np.pad(searched, beyond, constant_values=True)
+    bent[beyond + rows] = np.where(comes_or_goes, np.inf, change)
+    middle = np.flatnonzero(phase == half)
+    around = beyond + middle + np.array([[-half - step], [-half], [half], [half + step]])
+    # px by which a tag's way may bend between searched frames; an eighth of it is off halfway.
+    return np.asarray(middle[known[around[1:3]].all(axis=0) & (bent[around].max(axis=0) > 0.5)])
 
 
 def follow(
@@ -178,78 +174,6 @@ def sure_doubles(sightings: Sequence[tag_finder.Sighting]) -> list[int]:
     """Ids that were read without an error at two places of one picture."""
     certain = [tag.tag_id for tag in sightings if tag.errors == 0]
     return sorted({tag for tag in certain if certain.count(tag) > 1})
-
-
-# Pictures of a tag at one place, after which its pattern is fitted; after the last they are counted anew, and what was
-# fitted before holds until the last again.
-FITS = (8, 32, 64)
-
-
-@dataclass
-class _Window:
-    """The pictures of one tag since it last moved, summed."""
-
-    since: float  # s, of the first of them
-    part: tuple[slice, slice]  # rows and columns of the picture
-    grey: Array  # their sum
-    corners: Array  # (4, 2) px, likewise
-    count: int = 0
-    fitted: int = 0  # pictures that the last fit was made of
-
-
-@dataclass
-class StillTags:
-    """What was seen of each tag since it last moved; of bounded size. At most one pattern is fitted a picture."""
-
-    cells: int | None  # along a tag's black square; None for families without a plain rim: nothing is corrected
-    shifts: dict[int, Array] = field(default_factory=dict)  # (4, 2) px, by the tag's place in the list
-    windows: dict[int, _Window] = field(default_factory=dict)
-
-    def correct(self, picture: Picture, corners: Array, time: float) -> tuple[Array, Array]:
-        """`corners` (m, 4, 2) px as the detector found them in the newest picture, at `time` [s], those of tags that
-        stand still moved by what their patterns say; and (m,) s, since when each stands where it is, NaN where it was
-        not seen. What a later picture says of the same stand holds for all of it."""
-        since = np.full(len(corners), np.nan)
-        if self.cells is None:
-            return corners, since
-        corrected, due = corners.copy(), -1
-        for i in np.flatnonzero(np.isfinite(corners).all(axis=(1, 2))).tolist():
-            window = self._with(i, picture, corners[i], time)
-            since[i] = window.since
-            late = next((count for count in FITS if window.fitted < count <= window.count), 0)
-            due = i if due < 0 and late else due
-        if due >= 0:
-            self._fit(due)
-        for i, shift in self.shifts.items():
-            corrected[i] += shift  # a tag that is not seen stays NaN
-        return corrected, since
-
-    def _with(self, i: int, picture: Picture, corners: Array, time: float) -> _Window:
-        """The window of tag `i`, this picture added; a new one where the tag has moved."""
-        window = self.windows.get(i)
-        if window is not None and np.abs(corners - window.corners / window.count).max() > tag_finder.STILL:
-            self.shifts.pop(i, None)
-            window = None
-        if window is None or window.count >= FITS[-1]:
-            part = tag_finder.part_around(corners, picture.shape)
-            shape = tuple(one.stop - one.start for one in part)
-            fitted = 0 if window is None else FITS[-2]
-            window = self.windows[i] = _Window(time, part, np.zeros(shape), np.zeros((4, 2)), 0, fitted)
-        window.grey += picture[window.part]
-        window.corners = window.corners + corners
-        window.count += 1
-        return window
-
-    def _fit(self, i: int) -> None:
-        """Fit the pattern of tag `i` to the mean of its pictures."""
-        assert self.cells is not None
-        window = self.windows[i]
-        mean, corner = window.corners / window.count, [window.part[1].start, window.part[0].start]
-        fitted = tag_finder.fit_pattern(window.grey / window.count, mean - corner, self.cells)
-        self.shifts.pop(i, None)
-        if fitted is not None and np.abs(fitted + corner - mean).max() <= tag_finder.MOST_SHIFT:
-            self.shifts[i] = fitted + corner - mean
-        window.fitted = window.count
 
 
 # Copies of pictures are known by their tags, which stand in them and then have gone on. The pixels of a packed film
@@ -329,8 +253,8 @@ def detect_tags(
         return blocks[-1]
 
     with ThreadPoolExecutor(threads) as pool, ThreadPoolExecutor(1) as in_turn:
-        tracked = in_order(in_turn, follow_tags, in_blocks(read_frames(video, keep), BLOCK), ahead=1)
-        for _ in track(progress, "Finding the tags", by_frame(tracked), frame_count(video)):
+        frames = track(progress, "Finding the tags", read_frames(video, keep), frame_count(video))
+        for _ in in_order(in_turn, follow_tags, in_blocks(frames, BLOCK), ahead=1):
             pass
     return summary(video, tags, tag_id, blocks)
 
@@ -363,13 +287,6 @@ def in_order(
             yield waiting.popleft().result()
     while waiting:
         yield waiting.popleft().result()
-
-
-def by_frame(blocks: Iterable[BlockTracks]) -> Iterator[BlockTracks | None]:
-    """Each block once, then None for each further frame in it: one item per frame, for the progress."""
-    for block in blocks:
-        yield block
-        yield from [None] * (len(block.time) - 1)
 
 
 def summary(video: VideoEntry, tags: TagsEntry, tag_id: list[int], blocks: Sequence[BlockTracks]) -> Detections:
@@ -510,8 +427,6 @@ class TrackedFrame:
 
     time: float  # s, the camera's own clock
     corners: Array  # (m, 4, 2) px, as in `records.Detections`; NaN where not seen
-    detected: Array  # (m, 4, 2) px, the same before the patterns of tags at rest corrected them
-    still_since: Array  # (m,) s, when each tag came to where it stands; NaN where it was not seen
     shape: tuple[int, int]  # height, width, px
     looked: bool = False  # the whole picture, or a part of it, was searched
     strangers: tuple[int, ...] = ()  # unexpected ids that were seen then
@@ -525,8 +440,7 @@ class Tracker:
         """A tracker that has seen nothing of the tags `tag_id` (m,) of one AprilTag family."""
         self.tag_id = tuple(tag_id)
         self._finder = tag_finder.Finder(family)
-        self._still = StillTags(self._finder.cells)
-        self._rows: list[tuple[float, Array]] = []  # time and corners as detected, in order of time
+        self._rows: list[tuple[float, Array]] = []  # time and corners, in order of time
         m = len(self.tag_id)
         self._last = np.full((m, m, 4, 2), np.nan)  # by tag: where all of them were when it was seen last
         self._turn, self._unseen = 0, 0
@@ -566,17 +480,13 @@ class Tracker:
             take(tracks[t], sightings or [], self.tag_id)
         self._rows.insert(t, (time, tracks[t]))
         del self._rows[:-LOOK_EVERY]
-        corners, since = tracks[t], np.full(len(self.tag_id), np.nan)
         if newest:
-            corners, since = self._still.correct(picture, tracks[t], time)
             seen = np.isfinite(tracks[t]).all(axis=(1, 2))
             self._last[seen] = tracks[t]
         found = sightings or []
         return TrackedFrame(
             time=time,
-            corners=corners,
-            detected=tracks[t],
-            still_since=since,
+            corners=tracks[t],
             shape=(picture.shape[0], picture.shape[1]),
             looked=sightings is not None,
             strangers=tuple(tag.tag_id for tag in found if tag.tag_id not in self.tag_id),

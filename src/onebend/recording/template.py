@@ -33,7 +33,6 @@ FREQUENCIES = "Optional: how fast it swings, clamped as here; one such table for
 PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp")
 STUBS = {"poses.csv": "pose,id,x_m,y_m\n", "loads.csv": "pose,s,mass_kg\n", "clicks.csv": "pose,x_px,y_px\n"}
 TIME_NAME = re.compile(r"^(time|timestamp|stamp|t)([_ \[(/].*)?$", re.IGNORECASE)
-FORCE_NAME = re.compile(r"^(?:force|f)[_ ]?([xy])([_ \[(/].*)?$", re.IGNORECASE)
 FIRST_ROWS = 1000  # of tracks, in which every marker is
 
 
@@ -146,7 +145,7 @@ def _tags_in(frames: list[FilmFrame]) -> tuple[str, tuple[tuple[Sighting, ...], 
 def found_in_log(path: Path) -> FoundInFiles:
     """The columns of time and forces and their units, where the header is not the usual one."""
     header = next(_rows(path), [])
-    forces = likely_forces(header) or _forces_in(header)
+    forces = likely_forces(header)
     time = next((name for name in header if name.lower() in TIMES or TIME_NAME.match(name)), None)
     if forces is None or time is None or (time, *forces) == ("time_s", "fx_N", "fy_N"):
         return FoundInFiles()
@@ -154,11 +153,6 @@ def found_in_log(path: Path) -> FoundInFiles:
     values = {"columns": to_json([time, *forces])} | ({} if unit == "s" else {"time_unit": to_json(unit)})
     wrong = unit_in_name((time, *forces), unit)
     return FoundInFiles({"force": values}, notes=(f"{path.name}: {wrong}",) if wrong else ())
-
-
-def _forces_in(header: list[str]) -> tuple[str, str] | None:
-    named = {match[1].lower(): name for name in header if (match := FORCE_NAME.match(name))}
-    return (named["x"], named["y"]) if {"x", "y"} <= named.keys() else None
 
 
 def found_in_tracks(path: Path) -> FoundInFiles:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite, isnan, nan, sqrt
 from statistics import median
@@ -259,23 +259,15 @@ def not_seen(why: str) -> ToolPlace:
 
 
 def tool_place(
-    pictures: Pictures,
-    factor: int,
-    markers: Markers,
-    loaded: BoolArray,
-    *,
-    length: float,
-    tag_size: float,
-    sharp: Sequence[Picture] | None = None,
+    pictures: Sequence[Picture], markers: Markers, loaded: BoolArray, *, length: float, tag_size: float
 ) -> ToolPlace:
-    """Where the tool is that pushes a beam of `length` [m], by `pictures` (P, h, w) shrunk by `factor`, and by the same
-    in full size, `sharp`, where they are there.
+    """Where the tool is that pushes a beam of `length` [m], by P pictures.
 
     A tool lies against the beam's flank at one place in most of the loaded pictures, reaches farther out than tags (of
     side `tag_size` [m]) and their paper, is off the beam in some pictures at rest, and is alone. If not, it is not
     seen. `markers` and `loaded` have one row a picture."""
-    good = enough_tags(markers)
-    if markers.view is None or not np.any(good):
+    good, view = enough_tags(markers), markers.view
+    if view is None or not np.any(good):
         return not_seen("no frame shows the beam's tags")
     if np.ptp(markers.base_angle) > 0.0:
         return not_seen("the base turns")
@@ -284,11 +276,13 @@ def tool_place(
         return not_seen("too few frames show the push, or the beam at rest")
     grid = grid_of(length)
     centre, normal = axes_of(markers, np.flatnonzero(good).tolist(), grid)
-    different = deviations(pictures[good])
+    whole, factor = np.stack([*pictures])[good], shrink_factor(view, length)
+    small = np.stack([shrunk(picture, factor) for picture in whole])
+    different = deviations(small)
     far = far_ones(markers.xy[good, _outermost(markers)], pushed)
     some = far | ~pushed
-    different[~pushed] = deviations(pictures[good][some], far[some])[~pushed[some]]
-    beside = beside_beam(different, factor, markers.view, centre, normal, grid)
+    different[~pushed] = deviations(small[some], far[some])[~pushed[some]]
+    beside = beside_beam(different, factor, view, centre, normal, grid)
     # Of a tag's side: half the diagonal of its paper, white margin included.
     reach = 0.625 * sqrt(2.0) * tag_size + LEAST * length
     # sds of the background's noise: a pixel that is farther off shows something else.
@@ -300,11 +294,10 @@ def tool_place(
     if _shows_beam(covered[~pushed], found.s, grid).sum() < FEWEST_AT_REST:
         return not_seen("the beam at rest is taken for the background")
     own = {row: _at([one], found.left, found.s) for row, one in enumerate(each) if pushed[row]}
-    rows, whole = [row for row, one in own.items() if one], (pictures if sharp is None else np.stack([*sharp]))[good]
+    rows = [row for row, one in own.items() if one]
     if len(rows) < FEWEST_LOADED:
         return found
-    size = factor if sharp is None else 1
-    strips = [_strip(whole[i], size, markers.view, own[i][0], (centre[i], normal[i]), grid) for i in rows]
+    strips = [_strip(whole[i], view, own[i][0], (centre[i], normal[i]), grid) for i in rows]
     background = np.sort(whole, axis=0)[len(whole) // 2].astype(np.float32)
     s = np.array([own[row][0].s for row in rows])
     return _followed(found, s, markers.time[good][rows], strips, background, grid)
@@ -387,16 +380,14 @@ LEANS = 1.0 / sqrt(3.0)
 _STEEPEST = 2.0  # of the force along the beam over that across: of more the way to the axis tells nothing
 
 
-def _strip(
-    picture: NDArray[np.generic], factor: int, view: View, at: Meeting, axis: tuple[Array, Array], grid: SideGrid
-) -> ToolStrip:
+def _strip(picture: Picture, view: View, at: Meeting, axis: tuple[Array, Array], grid: SideGrid) -> ToolStrip:
     """A tool in one picture; `axis`: points (S, 2) m and left normals (S, 2), as `axes_of`."""
     centre, left = (np.array([np.interp(at.s, grid.s, each[:, c]) for c in range(2)]) for each in axis)
     angle = np.unwrap(np.arctan2(-axis[1][:, 0], axis[1][:, 1]))
     side = 1.0 if at.left else -1.0
     bend = side * float(np.interp(at.s, grid.s, np.gradient(angle, grid.s * grid.length)))
     tangent = np.array([left[1], -left[0]])
-    return ToolStrip(picture.astype(np.float32), factor, view, centre, tangent, side * left, at.flank, at.slope, bend)
+    return ToolStrip(picture.astype(np.float32), view, centre, tangent, side * left, at.flank, at.slope, bend)
 
 
 def _followed(
@@ -429,15 +420,6 @@ def _followed(
 LOADED, AT_REST = 24, 8  # frames of each that are looked at; half of them are enough where these are kept
 
 FindTool = Callable[[Markers, BoolArray, IntArray], ToolPlace]  # by tags, whether loaded, and number of each frame
-
-
-@dataclass(frozen=True)
-class SmallPictures:
-    """Some pictures of a stream, shrunk."""
-
-    time: Array  # (P,) s, in order
-    pictures: tuple[NDArray[np.float32], ...]  # P of (h, w)
-    factor: int  # pixels of the camera, each way, that make one of theirs
 
 
 def tool_checked(rec: Recording, seen: Observations, base_angle: Array, find: FindTool) -> Observations:
@@ -502,34 +484,27 @@ def tool_in_film(
     if rec.video is None or markers.view is None:
         return not_seen("there is no film")
     rows = rows_to_look_at(markers.xy, loaded, frame % every == 0 if every else None)
-    factor = shrink_factor(markers.view, rec.beam.length)
     seek = pictures_at if kept is None else kept.pictures
     found = dict(seek(rec.video, frame[rows].tolist()))
     rows = np.array([row for row in rows.tolist() if int(frame[row]) in found], dtype=np.int64)
-    return tool_in([found[int(frame[row])] for row in rows], rec, of_rows(markers, rows), loaded[rows], factor)
+    return tool_in([found[int(frame[row])] for row in rows], rec, of_rows(markers, rows), loaded[rows])
 
 
-def tool_in(
-    pictures: Sequence[Picture], rec: Recording, markers: Markers, loaded: BoolArray, factor: int | None = None
-) -> ToolPlace:
+def tool_in(pictures: Sequence[Picture], rec: Recording, markers: Markers, loaded: BoolArray) -> ToolPlace:
     """Where these pictures show the tool; `markers` and `loaded` have one row per picture."""
-    if markers.view is None or len(pictures) == 0:
-        return not_seen("there is no film")
-    factor = factor or shrink_factor(markers.view, rec.beam.length)
-    small = np.stack([shrunk(picture, factor) for picture in pictures])
-    size = rec.tags.size
-    return tool_place(small, factor, markers, loaded, length=rec.beam.length, tag_size=size, sharp=pictures)
+    if not len(pictures):
+        return not_seen("there is no picture")
+    return tool_place(pictures, markers, loaded, length=rec.beam.length, tag_size=rec.tags.size)
 
 
-def tool_in_small(small: SmallPictures, rec: Recording, markers: Markers, loaded: BoolArray, time: Array) -> ToolPlace:
-    """Where the pictures kept of a stream show the tool; `markers`, `loaded` and `time` [s] have one row per frame."""
-    rows = np.flatnonzero(np.isin(time, small.time))
+def tool_in_stream(
+    pictures: Mapping[float, Picture], rec: Recording, markers: Markers, loaded: BoolArray, time: Array
+) -> ToolPlace:
+    """Where the pictures that were kept of a stream, by their time [s], show the tool; `markers`, `loaded` and `time`
+    [s] have one row per frame."""
+    rows = np.flatnonzero(np.isin(time, list(pictures)))
     rows = rows[rows_to_look_at(markers.xy[rows], loaded[rows])]
-    if not len(rows):
-        return not_seen("no picture was kept")
-    pictures = np.stack([small.pictures[i] for i in np.searchsorted(small.time, time[rows]).tolist()])
-    length, size = rec.beam.length, rec.tags.size
-    return tool_place(pictures, small.factor, of_rows(markers, rows), loaded[rows], length=length, tag_size=size)
+    return tool_in([pictures[t] for t in time[rows].tolist()], rec, of_rows(markers, rows), loaded[rows])
 
 
 def rows_to_look_at(xy: Array, loaded: BoolArray, rather: BoolArray | None = None) -> IntArray:
@@ -571,11 +546,11 @@ def _tool_elsewhere(tool: ToolPlace, rec: Recording) -> bool:
     return bool(abs(tool.s - rec.push.at) > 3.0 * np.hypot(tool.sd, _stated_sd(rec)))
 
 
-# Small pictures of a stream. Which frames are of the push is known only when it is over. So some frames are kept that
+# Pictures of a stream. Which frames are of the push is known only when it is over. So some frames are kept that
 # show the tags where they were first, and more of all others, evenly over time and way.
 
 MOST = 2 * (LOADED + AT_REST)  # pictures: at least half as many are left where every other one has gone
-MOST_PIXELS = 25_000_000  # of all that are kept; a pixel takes 4 bytes
+MOST_PIXELS = 200_000_000  # of all that are kept; a pixel takes a byte
 MOVED = 0.05  # of a tag's side: farther from where it was first, it may be pushed
 SECONDS, WAY = 0.1, 0.1  # s, and sides of a tag: so far apart are the pictures to begin with
 
@@ -586,7 +561,7 @@ class _Kept:
 
     time: float  # s
     middle: Array  # (m, 2) px
-    picture: NDArray[np.float32]
+    picture: Picture
 
 
 @dataclass
@@ -611,14 +586,12 @@ class _Spread:
             self.kept, self.spacing = self.kept[::2], 2.0 * self.spacing
 
 
-class KeptSmall:
+class KeptPictures:
     """The pictures that are kept of a stream."""
 
-    def __init__(self, length: float, tag_size: float, most: int = MOST) -> None:
-        """Nothing is kept yet: of a beam of `length` [m], with tags of `tag_size` [m], at most so many pictures."""
-        self._tags_long = length / tag_size
-        self._most = min(most, MOST)
-        self._factor, self._side = 0, math.nan
+    def __init__(self, most: int = MOST) -> None:
+        """Nothing is kept yet, and never more than so many pictures."""
+        self._most, self._side = min(most, MOST), math.nan
         self._first: Array | None = None  # (m, 2) px, where each tag was seen first
         self._rest, self._away = (_Spread(part / (AT_REST + LOADED)) for part in (AT_REST, LOADED))
 
@@ -637,27 +610,18 @@ class KeptSmall:
             return
         middle = corners.mean(axis=1)
         if self._first is None:
-            sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)[seen]
-            self._begin(picture, float(sides.mean()), middle)
-        assert self._first is not None
+            self._first = middle
+            self._side = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)[seen].mean())
+            self._most = min(self._most, MOST_PIXELS // picture.size)
         self._first = np.where(np.isfinite(self._first), self._first, middle)
         moved = _farthest(middle - self._first) > MOVED * self._side
         spread = self._away if moved else self._rest
         if self._most and spread.wants(time, middle, self._side):
-            spread.add(_Kept(time, middle, shrunk(picture, self._factor)), self._most)
+            spread.add(_Kept(time, middle, picture), self._most)
 
-    def small(self) -> SmallPictures | None:
-        """Those that are kept, in order of time; None where there are none."""
-        kept = sorted((*self._rest.kept, *self._away.kept), key=lambda one: one.time)
-        if not kept:
-            return None
-        return SmallPictures(np.array([one.time for one in kept]), tuple(one.picture for one in kept), self._factor)
-
-    def _begin(self, picture: Picture, side: float, middle: Array) -> None:
-        """Know the scale, as `covered.shrink_factor` does by the camera, by the tags' side [px]."""
-        self._side, self._first = side, middle
-        self._factor = max(1, math.ceil(self._tags_long * side / BEAM_PIXELS))
-        self._most = min(self._most, MOST_PIXELS * self._factor**2 // picture.size)
+    def by_time(self) -> dict[float, Picture]:
+        """Those that are kept, by their time [s]."""
+        return {one.time: one.picture for one in (*self._rest.kept, *self._away.kept)}
 
 
 def _farthest(way: Array) -> float:

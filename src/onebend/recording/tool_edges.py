@@ -37,7 +37,6 @@ class ToolStrip:
     """Straight axes at the rough place of a tool in one picture, and how it is seen there."""
 
     picture: NDArray[np.float32]
-    factor: int  # pixels of the camera, each way, that make one of its own
     view: View
     origin: Array  # (2,) m on the body's axis
     tangent: Array  # (2,)
@@ -50,7 +49,7 @@ class ToolStrip:
         """(A, B) of a picture at `aside` (A, 1) m from the tool's axis and `out` (1, B) m outward."""
         along = aside + self.slope * (out - self.flank)
         xy = self.origin + along[..., None] * self.tangent + out[..., None] * self.outward
-        px = (project(self.view, xy) + 0.5) / self.factor - 0.5
+        px = project(self.view, xy)
         return np.asarray(map_coordinates(picture, [px[..., 1], px[..., 0]], np.float32, order=1, mode="nearest"))
 
 
@@ -66,7 +65,7 @@ class Contacts:
 def contacts(strips: Sequence[ToolStrip], background: NDArray[np.float32], length: float, width: float) -> Contacts:
     """The tool in these strips; `background` is a picture without it, `width` m at most the tool's."""
     ends = project(strips[0].view, np.array([[0.0, 0.0], [length, 0.0]]))
-    step = STEP * strips[0].factor * length / float(np.linalg.norm(ends[1] - ends[0]))  # m
+    step = STEP * length / float(np.linalg.norm(ends[1] - ends[0]))  # m
     aside = np.arange(-ASIDE * length, ASIDE * length + step, step)
     turned = [_turned(strip, aside, length, step) for strip in strips]
     edges = np.stack([edge for _, edge in turned])

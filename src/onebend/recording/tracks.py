@@ -281,7 +281,7 @@ class Tracks:
     curve: int = 0  # how many of the m are points of a curve
 
 
-def track_markers(rec: Recording, settings: force.ContactSettings = force.ContactSettings()) -> Markers:
+def track_markers(rec: Recording) -> Markers:
     """Every beam marker of the recording's table, relative to the base."""
     tracks = _without_copies(read_tracks(rec))
     base = len(rec.tags.on_base)
@@ -306,7 +306,7 @@ def track_markers(rec: Recording, settings: force.ContactSettings = force.Contac
         remarks=(*tracks.remarks, *moves),
         traced=np.arange(len(turns)) >= len(tags) if len(curve) else None,
     )
-    origin, direction = clamp_frame(rec, tracks, raw, settings)
+    origin, direction = clamp_frame(rec, tracks, raw)
     xy = rotated(in_base - origin, np.array(-direction))
     hint = "Are x_m and y_m in metres? Check length_m and the markers' ids and s."
     camera.check_lengths(xy, rec, "the clamp", "marker", hint)
@@ -427,7 +427,7 @@ def base_motion(tracks: Tracks, base: int) -> tuple[Array, Array, tuple[Remark, 
     return shift, turn, (Remark("warning", f"{text}.", about="base moves"),)
 
 
-def clamp_frame(rec: Recording, tracks: Tracks, raw: Markers, settings: force.ContactSettings) -> tuple[Array, float]:
+def clamp_frame(rec: Recording, tracks: Tracks, raw: Markers) -> tuple[Array, float]:
     """(2,) m and rad: the clamp's place and direction, from the first base marker and in the tracker's plane."""
     base, length = rec.tags.on_base, rec.beam.length
     start = np.nanmedian(tracks.xy[:, 0], axis=0) if base else np.zeros(2)
@@ -440,7 +440,7 @@ def clamp_frame(rec: Recording, tracks: Tracks, raw: Markers, settings: force.Co
         origin = -where_base * np.array([math.cos(direction), math.sin(direction)])
     if origin is not None and direction is not None:
         return origin, direction
-    still = force.find_contact(with_angles(raw), None, settings=settings).still
+    still = force.find_contact(with_angles(raw)).still
     if rec.gravity is not None or not still.any():
         why = "its weight bends the beam" if rec.gravity is not None else "no frame shows the beam at rest"
         raise ObservationError(

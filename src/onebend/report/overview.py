@@ -11,13 +11,13 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from onebend.errors import ObservationError, OnebendError, told
-from onebend.recording import bag_topics, beam_frame, clock, clock_features, force_axes, force_log, photos, stated
+from onebend.recording import bag_topics, beam_frame, clock, force_axes, force_log, photos, stated
 from onebend.recording.entries import Recording, VideoEntry
 from onebend.recording.folder import read_recording
 from onebend.recording.force import check_pace, read_log, to_beam
 from onebend.recording.observe import FEWEST_FRAMES, observe
 from onebend.recording.poses import read_loads, read_points
-from onebend.recording.preview import Preview, bent, displacement, look_at
+from onebend.recording.preview import Preview, bent, look_at, moved
 from onebend.recording.signals import outliers, step
 from onebend.recording.tracks import read_tracks
 from onebend.recording.video import opened
@@ -170,7 +170,7 @@ def _refuse_apart(description: Recording, seconds: float, log: ForceLog) -> None
     start, doubt = description.start
     if not np.isfinite(start + doubt):
         return
-    slack = clock.reach_of(doubt, clock_features.ClockSettings().margin)
+    slack = clock.reach_of(doubt)
     if start + seconds + slack < log.time[0] or start - slack > log.time[-1]:
         raise ObservationError(
             f"The film ({start:.1f} to {start + seconds:.1f} s on the log's clock, give or take {doubt:.2g} s) and the "
@@ -183,12 +183,12 @@ def _refuse_apart(description: Recording, seconds: float, log: ForceLog) -> None
 def _refuse_axes(description: Recording, markers: Markers, log: ForceLog) -> None:
     """Raises if the force contradicts the bending. Clocks are matched by the sizes of force and bending, whatever the
     axes."""
-    away, force = displacement(markers), tared(description, log)
+    away, force = moved(markers), tared(description, log)
     start, doubt = description.start
     place = np.nan if description.push is None else description.push.at
     if not np.isfinite(start + doubt + place) or not away.max() > 0.0:
         return
-    size, reach = np.linalg.norm(force, axis=1), clock.reach_of(doubt, clock_features.ClockSettings().margin)
+    size, reach = np.linalg.norm(force, axis=1), clock.reach_of(doubt)
     offsets = np.arange(start - reach, start + reach + STEP, STEP) if doubt > 0.0 else np.array([start])
     if len(offsets) > MOST_OFFSETS:
         return

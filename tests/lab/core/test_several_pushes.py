@@ -10,8 +10,7 @@ import pytest
 from onebend.lab.bench import ForceSensor, PushProfile
 from onebend.lab.designs import force_that_bends
 from onebend.lab.virtual import VirtualBench, virtual_recording
-from onebend.recording.clock_features import ClockSettings
-from onebend.recording.force import ForceSettings, match_clocks
+from onebend.recording.force import match_clocks
 from onebend.recording.tracks import with_angles
 from onebend.records import Array
 from tests.made_up import BEAM
@@ -53,6 +52,6 @@ def test_a_film_of_eight_pushes_claims_no_better_clock_than_it_has(coloured: flo
     made = virtual_recording(replace(bench, clock=said), seed=3)
     assert len(made.markers.time) > 1000
     markers = with_angles(made.markers)
-    clock = match_clocks(made.recording, markers, made.log, None, ClockSettings(), ForceSettings())[1].clock
+    clock = match_clocks(made.recording, markers, made.log, None)[1].clock
     assert clock.found
     assert abs(clock.offset - bench.clock.offset - sensor.lag) < 3.0 * np.hypot(clock.sd, EXACT)

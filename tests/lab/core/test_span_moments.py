@@ -11,7 +11,7 @@ from benchmarks.studies import bench_of
 from onebend.lab.virtual import VirtualRecording, virtual_recording
 from onebend.recording.clock import fit_clock
 from onebend.recording.clock_evidence import moments_of
-from onebend.recording.clock_features import ClockSettings, Moments, film_features, without_jumps
+from onebend.recording.clock_features import Moments, film_features, without_jumps
 from onebend.recording.clock_moments import (
     CommonRows,
     ForceLogModel,
@@ -39,7 +39,7 @@ def exact(seed: int) -> tuple[VirtualRecording, Moments]:
     """A virtual recording with the true poses of the tags, and its moments."""
     virtual = made("white", seed)
     markers = replace(virtual.markers, xy=virtual.pose[..., :2], angle=virtual.pose[..., 2])
-    moments = film_features(markers, PUSH_S, ClockSettings()).moments
+    moments = film_features(markers, PUSH_S).moments
     assert moments is not None
     return virtual, moments
 

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from onebend.recording import clock_features
 from onebend.recording.clock import fit_clock
-from onebend.recording.clock_evidence import fit_noise, linear_model, log_evidence, noise_factor
-from onebend.recording.clock_features import ClockSettings, GaplessMarkers, averaged, levers
+from onebend.recording.clock_evidence import LinearModel, fit_noise, log_evidence, noise_factor
+from onebend.recording.clock_features import GaplessMarkers, levers, turning_spans
 from onebend.recording.force_noise import TimeSpans, covariance
 from onebend.recording.signals import from_clamp
 from onebend.records import ForceNoise
@@ -129,14 +130,14 @@ def test_push_in_one_direction_claims_less() -> None:
 def test_evidence_is_that_of_a_normal_distribution() -> None:
     rng = np.random.default_rng(3)
     time = np.sort(rng.uniform(0.0, 4.0, 12))
-    design, values = rng.standard_normal((12, 2, 3)), rng.standard_normal((12, 2))
+    own, pairs, values = rng.standard_normal((12, 2)), rng.standard_normal((12, 2, 3)), rng.standard_normal((12, 2))
     noise = ForceNoise(white=0.4, coloured=0.7, tau=0.5, walk=0.3)
     whole = np.kron(np.eye(2), covariance(noise, TimeSpans.at(time)))
-    x = design.transpose(1, 0, 2).reshape(24, 3)
+    x = np.hstack([np.kron(np.eye(2), own), pairs.transpose(1, 0, 2).reshape(24, 3)])
     whole = whole + x @ x.T
     y = values.T.reshape(24)
     direct = -0.5 * (y @ np.linalg.solve(whole, y)) - 0.5 * np.linalg.slogdet(whole)[1]
-    model = linear_model(design, values)
+    model = LinearModel(np.hstack([own, pairs.reshape(12, 6)]), 2, values)
     assert np.isclose(log_evidence(noise_factor(noise, time), model), direct, rtol=1e-9)
 
 
@@ -155,45 +156,23 @@ def test_banded_covariance_is_the_dense_one(white: float) -> None:
     assert factor.log_root == pytest.approx(0.5 * np.linalg.slogdet(dense)[1], rel=1e-10)
 
 
-def test_film_of_very_many_frames_is_averaged_and_tells_the_same() -> None:
+def test_film_of_very_many_frames_is_thinned_and_tells_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     pushed = Pushed(seed=25, film=8.0)
     markers = pushed.markers()
-    most = len(markers.time) // 2 + 1
-    whole, fewer = (
-        fit_clock(markers, pushed.log(), 250.0, 2.0, settings=ClockSettings(most_frames=number)).clock
-        for number in (4000, most)
-    )
+    whole = fit_clock(markers, pushed.log(), 250.0, 2.0).clock
+    monkeypatch.setattr(clock_features, "MOST_FRAMES", len(markers.time) // 2 + 1)
+    fewer = fit_clock(markers, pushed.log(), 250.0, 2.0).clock
     for clock in (whole, fewer):
         assert clock.offset == pytest.approx(pushed.offset, abs=2.5 * clock.sd)
     assert fewer.sd == pytest.approx(whole.sd, rel=0.5)
-
-
-def test_averaged_frames_are_missing_where_half_of_their_neighbours_are() -> None:
-    markers = Pushed().markers()
-    xy = markers.xy.copy()
-    xy[0, 0], xy[4:6, 0] = np.nan, np.nan
-    found = averaged(replace(markers, xy=xy), len(markers.time) // 4 + 1)
-    assert len(found.time) == len(markers.time) // 4
-    np.testing.assert_allclose(found.time[1], markers.time[4:8].mean())
-    np.testing.assert_allclose(found.xy[0, 0], xy[1:4, 0].mean(axis=0))
-    assert np.isnan(found.xy[1, 0]).all()
-    assert averaged(markers, len(markers.time)) is markers
-
-
-def test_columns_that_axes_share_stand_once() -> None:
-    feature = np.arange(5.0)
-    design = np.zeros((5, 2, 2))
-    design[:, 0, 0] = design[:, 1, 1] = feature
-    model = linear_model(design, np.stack([feature**2, feature**3], axis=1))
-    assert model.columns.shape == (5, 3)
 
 
 def test_noise_is_recovered() -> None:
     pushed = Pushed(film=25.0, white=0.01, coloured=0.02, tau=0.3, rate=15.0)
     log = pushed.log()
     values = log.force - pushed.true_force(log.time - pushed.offset)
-    constant = np.zeros((len(log.time), 2, 2)) + np.eye(2)
-    found = fit_noise(log.time, linear_model(constant, values), ForceNoise(0.02, 0.01, 0.2, 0.01))
+    model = LinearModel(np.ones((len(log.time), 1)), 1, values)
+    found = fit_noise(log.time, model, ForceNoise(0.02, 0.01, 0.2, 0.01))
     assert found.white == pytest.approx(0.01, rel=0.3)
     assert found.coloured == pytest.approx(0.02, rel=0.4)
     assert found.tau == pytest.approx(0.3, rel=0.6)
@@ -208,7 +187,7 @@ def test_filtered_share_of_the_coloured_noise() -> None:
 def test_levers_hold_the_true_force() -> None:
     part, xy, angle = table()
     places, seen = from_clamp(np.array([1 / 3, 2 / 3, 1.0]), xy, angle), np.ones(len(xy), dtype=bool)
-    features = levers(GaplessMarkers(np.arange(len(xy)) / 30.0, *places, seen, 0.0, 0.0), 1.0)
+    features = levers(turning_spans(GaplessMarkers(np.arange(len(xy)) / 30.0, *places, seen, 0.0, 0.0), 1.0))
     force = force_at(part)
     flat = features.reshape(-1, features.shape[-1])
     told = flat @ np.linalg.lstsq(flat, force.reshape(-1), rcond=None)[0]

@@ -66,12 +66,12 @@ def passed_over() -> Markers:
 
 def test_what_passes_over_the_tags_costs_frames_and_no_tag() -> None:
     markers = passed_over()
-    used, covered = lasting(markers, 0.25)
+    used, covered = lasting(markers)
     assert used.all()
     np.testing.assert_array_equal(covered, np.isfinite(markers.xy).all(axis=(1, 2)))
     half = replace(markers, xy=np.where(markers.time[:, None, None] > 4.0, np.nan, markers.xy))
     half.xy[:, :2] = PUSHED.markers().xy[:, :2]
-    assert lasting(half, 0.25)[0].tolist() == [True, True, False]
+    assert lasting(half)[0].tolist() == [True, True, False]
 
 
 def test_what_a_filter_remembers_of_a_gap_is_not_known() -> None:

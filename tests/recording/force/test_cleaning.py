@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from onebend.errors import RecordingError
-from onebend.recording.force import ForceSettings, choose_cutoff, clean_force, force_at, to_beam
+from onebend.recording.force import choose_cutoff, clean_force, force_at, to_beam
 from onebend.recording.force_log import read_force_log
 from onebend.records import ForceLog, ForceNoise
 from tests.recording.pushed import Pushed
@@ -150,8 +150,8 @@ def test_gaps_stay_gaps() -> None:
 
 
 def test_cutoff_is_twice_the_motion() -> None:
-    assert choose_cutoff(0.7, ForceSettings()) == pytest.approx(1.4)
-    assert choose_cutoff(math.nan, ForceSettings()) == math.inf
+    assert choose_cutoff(0.7) == pytest.approx(1.4)
+    assert choose_cutoff(math.nan) == math.inf
 
 
 @pytest.mark.parametrize(("share", "levels"), [(0.1, []), (0.3, [False]), (0.6, [True])])

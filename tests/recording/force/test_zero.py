@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from onebend.recording.force import (
-    ContactSettings,
-    ForceSettings,
+    MARGIN,
     Zero,
     clean_force,
     long_enough,
@@ -25,7 +24,7 @@ SLOW = np.stack([0.1 * TIME, -0.2 * TIME], axis=1)  # N, a drift
 
 
 def zero(noise: ForceNoise | None = NOISE) -> Zero:
-    return zero_of(TIME, SLOW, RESTS, noise, ForceSettings(tare_span=3.0))
+    return zero_of(TIME, SLOW, RESTS, noise)
 
 
 def test_the_zero_is_the_mean_over_the_part_of_a_rest_that_is_nearest_to_contact() -> None:
@@ -85,12 +84,11 @@ def test_the_white_part_of_the_noise_is_read_from_the_log() -> None:
 
 
 def test_a_rest_is_shorter_by_the_margin_where_it_borders_on_contact() -> None:
-    settings = ContactSettings()
-    assert settings.margin == 0.1  # s: the tool touches before markers show it
+    assert MARGIN == 0.1  # s: the tool touches before markers show it
     time = np.arange(0.0, 3.0, 0.1)
-    np.testing.assert_allclose(shrunk(time, 0, 10, settings), (-np.inf, 0.8))
-    np.testing.assert_allclose(shrunk(time, 20, 30, settings), (2.1, np.inf))
-    np.testing.assert_allclose(shrunk(time, 10, 20, settings), (1.1, 1.8))
+    np.testing.assert_allclose(shrunk(time, 0, 10), (-np.inf, 0.8))
+    np.testing.assert_allclose(shrunk(time, 20, 30), (2.1, np.inf))
+    np.testing.assert_allclose(shrunk(time, 10, 20), (1.1, 1.8))
 
 
 def test_short_rests_are_none() -> None:
@@ -98,7 +96,7 @@ def test_short_rests_are_none() -> None:
     mask[2:5] = mask[10:14] = True
     expected = np.zeros(20, dtype=bool)
     expected[10:14] = True
-    np.testing.assert_array_equal(long_enough(mask, time, 0.25), expected)
+    np.testing.assert_array_equal(long_enough(mask, time), expected)
 
 
 @pytest.mark.parametrize(("left", "at"), [(0.1, np.inf), (0.01, 10.05)])
@@ -106,4 +104,4 @@ def test_a_force_that_stays_is_no_release(left: float, at: float) -> None:
     size = np.where((TIME > 5.0) & (TIME <= 10.0), 1.0, np.where(TIME > 10.0, left, 0.0))
     noise = 1e-3 * np.random.default_rng(0).standard_normal((len(TIME), 2))
     log = ForceLog(TIME, np.stack([size, np.zeros(len(TIME))], axis=1) + noise)
-    assert release(log, np.array([0.0, 4.0]), ContactSettings()) == pytest.approx(at, abs=0.06)
+    assert release(log, np.array([0.0, 4.0])) == pytest.approx(at, abs=0.06)

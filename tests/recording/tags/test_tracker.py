@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from onebend.errors import ObservationError
-from onebend.recording.tag_finder import Finder, Sighting
+from onebend.recording.tag_finder import Finder
 from onebend.recording.tags import LOOK_EVERY, TrackedFrame, Tracker, track_block
 from onebend.recording.video import FilmFrame
 from onebend.records import Array
@@ -51,20 +51,6 @@ def test_tags_are_where_the_block_wise_search_finds_them() -> None:
     assert not seen[HIDDEN, 2].any()  # none where it is hidden
     assert seen[: HIDDEN.start, 2].all()
     assert seen[HIDDEN.stop + 4 :, 2].all()  # and it is found again, within some frames
-
-
-def test_a_tag_at_rest_is_where_its_whole_pattern_says() -> None:
-    true = np.repeat(poses(3)[:1], 24, axis=0)
-    frames, corners = film(true, range(4), view()), corners_of(true[:1], view())
-    tracker, finder = Tracker(range(4)), Finder("tag36h11")
-    late = np.array([tracker.step(frame.luma, frame.time).corners for frame in frames])[12:]
-    alone = np.array([[tag.corners for tag in sorted_by_id(finder.look(frame.luma))] for frame in frames[12:]])
-    off, off_alone = (float(np.sqrt(np.mean((one.mean(axis=0) - corners[0]) ** 2))) for one in (late, alone))
-    assert off < 0.85 * off_alone  # what is the same in every frame: the edges' error on the grid of pixels
-
-
-def sorted_by_id(tags: list[Sighting]) -> list[Sighting]:
-    return sorted(tags, key=lambda tag: tag.tag_id)
 
 
 def test_no_frame_depends_on_a_later_one() -> None:

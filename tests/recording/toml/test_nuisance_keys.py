@@ -225,7 +225,7 @@ def test_a_start_that_is_known_closely_is_taken_at_its_word(uncertainty: float, 
         said = pushed.offset + off
         fit = fit_clock(pushed.markers(), pushed.log(), said, uncertainty, push_s=push_s)
         assert 0.0 < fit.clock.sd < 1.2 * uncertainty + 1e-9
-        assert abs(fit.clock.offset - said) <= reach_of(max(uncertainty, 1e-6), 2.0)
+        assert abs(fit.clock.offset - said) <= reach_of(max(uncertainty, 1e-6))
         assert off or abs(fit.clock.offset - said) < 3.0 * uncertainty
         assert fit.clock.found or fit.clock.offset == said
         assert all(remark.level == "note" for remark in fit.remarks) or off
@@ -245,12 +245,12 @@ def test_the_range_searched_grows_evenly_with_what_is_not_known() -> None:
     film, log = np.linspace(0.0, 8.0, 200), np.linspace(240.0, 270.0, 3000)
     last = 0.0
     for uncertainty in (1e-4, 1e-3, 0.03, 0.0999, 0.1, 0.1001, 0.5, 2.0):
-        low, high, prior = search_range(film, log, 250.0, uncertainty, 2.0)
-        assert 0.5 * (high - low) == pytest.approx(reach_of(uncertainty, 2.0))
+        low, high, prior = search_range(film, log, 250.0, uncertainty)
+        assert 0.5 * (high - low) == pytest.approx(reach_of(uncertainty))
         sd = 1.0 / math.sqrt(-2.0 * float(prior(np.array([251.0]) - 1.0 + 1e-6)[0])) * 1e-6
         assert last < sd <= uncertainty + 1e-9
         last = sd
-    wide = [search_range(film, log, 250.0, each, 2.0)[:2] for each in (0.1, 2.0)]
+    wide = [search_range(film, log, 250.0, each)[:2] for each in (0.1, 2.0)]
     assert wide == [(250.0 - 2.1, 250.0 + 2.1), (246.0, 254.0)]
 
 

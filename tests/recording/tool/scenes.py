@@ -10,6 +10,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
+from onebend.recording.photos import smaller_view
 from onebend.recording.plane import camera_place, to_plane
 from onebend.recording.tool import ToolPlace, tool_place
 from onebend.records import Array, BoolArray, Markers
@@ -31,7 +32,8 @@ class Filmed:
     loaded: BoolArray
 
     def place(self) -> ToolPlace:
-        return tool_place(self.pictures, FACTOR, self.markers, self.loaded, length=LENGTH, tag_size=SIZE)
+        pictures = [np.clip(np.rint(one), 0, 255).astype(np.uint8) for one in self.pictures]
+        return tool_place(pictures, self.markers, self.loaded, length=LENGTH, tag_size=SIZE)
 
 
 @cache
@@ -123,7 +125,7 @@ def markers_of(tags: Array) -> Markers:
         angle=tags[:, 1:, 2],
         covariance=np.broadcast_to(1e-10 * np.eye(3), (count, 3, 3, 3)),
         base_angle=np.zeros(count),
-        view=view(),
+        view=smaller_view(view(), FACTOR),
     )
 
 
@@ -133,7 +135,7 @@ def mirrored(film: Filmed) -> Filmed:
     assert seen is not None
     flip = np.diag([1.0, -1.0, 1.0])
     matrix, dist = seen.matrix.copy(), seen.dist.copy()
-    matrix[1, 2] = HEIGHT - 1 - matrix[1, 2]
+    matrix[1, 2] = HEIGHT // FACTOR - 1 - matrix[1, 2]
     dist[2] = -dist[2]  # the lens's part that is not even in y
     turned = np.array([1.0, -1.0])
     return replace(

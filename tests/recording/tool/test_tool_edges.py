@@ -38,7 +38,7 @@ def test_the_middle_of_the_tool_is_found_and_not_that_of_its_shadow(shadow: floa
     places, rough = 0.5 * LENGTH + np.array([-1e-3, 0.0, 2e-3]), 0.5 * LENGTH
     strips = [
         ToolStrip(
-            picture(float(x), 0.25, shadow).astype(np.float32), 1, view(), np.array([rough, 0.0]),
+            picture(float(x), 0.25, shadow).astype(np.float32), view(), np.array([rough, 0.0]),
             np.array([1.0, 0.0]), np.array([0.0, -1.0]), FLANK + 1e-3, 0.2, 0.0,
         )
         for x in places

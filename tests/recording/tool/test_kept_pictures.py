@@ -8,34 +8,30 @@ import numpy as np
 import pytest
 
 from onebend.recording.entries import PushEntry
-from onebend.recording.tool import AT_REST, LOADED, MOST, KeptSmall, tool_in_small
+from onebend.recording.tool import AT_REST, LOADED, MOST, MOST_PIXELS, KeptPictures, tool_in_stream
 from onebend.records import Array
-from tests.recording.filmed import LENGTH, SIZE, corners_of, recording, view
-from tests.recording.tool.scenes import FACTOR, bends, filmed, in_room
+from tests.recording.filmed import corners_of, recording, view
+from tests.recording.tool.scenes import bends, filmed, in_room
 
 RATE = 8.0  # pictures per second
 
 
 @pytest.mark.parametrize("at", [0.7, 1.0])
 def test_the_tool_is_seen_in_what_was_kept_as_in_the_film(at: float) -> None:
-    film, kept = filmed((at, in_room(0.5))), KeptSmall(LENGTH, SIZE)
+    film, kept = filmed((at, in_room(0.5))), KeptPictures()
     time: Array = np.arange(len(film.pictures)) / RATE
     for t, picture, tags in zip(time.tolist(), film.pictures, bends(), strict=True):
-        whole = np.repeat(np.repeat(np.clip(np.rint(picture), 0, 255), FACTOR, axis=0), FACTOR, axis=1)
-        kept.add(t, whole.astype(np.uint8), corners_of(tags, view()))
-    small, rec = kept.small(), replace(recording(), push=PushEntry(at=at))
-    assert small is not None
-    assert small.factor == FACTOR
-    assert small.pictures[0].shape == film.pictures[0].shape
-    found = tool_in_small(small, rec, film.markers, film.loaded, time)
+        kept.add(t, np.clip(np.rint(picture), 0, 255).astype(np.uint8), corners_of(tags, view()))
+    pictures, rec = kept.by_time(), replace(recording(), push=PushEntry(at=at))
+    found = tool_in_stream(pictures, rec, film.markers, film.loaded, time)
     assert found.seen, found.why
     assert found.s == pytest.approx(film.place().s, abs=0.01)
-    others = tool_in_small(small, rec, film.markers, film.loaded, time + 0.5 / RATE)
-    assert others.why == "no picture was kept"
+    others = tool_in_stream(pictures, rec, film.markers, film.loaded, time + 0.5 / RATE)
+    assert others.why == "there is no picture"
 
 
 def test_rest_and_push_are_kept_of_a_long_stream() -> None:
-    kept = KeptSmall(LENGTH, SIZE)
+    kept = KeptPictures()
     minutes = 20
     rest = np.arange(0.0, 60.0 * minutes, 0.5)
     push = rest[-1] + 0.1 * np.arange(1, 101)
@@ -43,26 +39,24 @@ def test_rest_and_push_are_kept_of_a_long_stream() -> None:
         way = 40.0 * np.clip((time - push[0]) / 10.0, 0.0, 1.0)  # px
         kept.add(time, np.zeros((30, 40), np.uint8), tags_at(way))
         assert len(kept) <= MOST
-    small = kept.small()
-    assert small is not None
-    assert (np.diff(small.time) > 0.0).all()
-    resting, pushed = small.time[small.time <= push[3]], small.time[small.time > push[3]]
+    times = np.sort([*kept.by_time()])
+    resting, pushed = times[times <= push[3]], times[times > push[3]]
     assert len(resting) >= AT_REST  # as many as are looked at
     assert resting[-1] > 0.8 * rest[-1]  # of all the rest
     assert len(pushed) >= LOADED
-    assert all(time in kept for time in small.time.tolist())
+    assert all(time in kept for time in times.tolist())
     assert push[0] + 0.05 not in kept
 
 
 def test_large_pictures_are_fewer() -> None:
-    few, many = KeptSmall(LENGTH, SIZE), KeptSmall(LENGTH, SIZE)
+    few, many, large = KeptPictures(), KeptPictures(), np.broadcast_to(np.uint8(0), (2000, MOST_PIXELS // 50_000))
     for i in range(200):
-        few.add(0.2 * i, np.zeros((1000, 1000), np.uint8), tags_at(2.0 * i))
+        few.add(0.2 * i, large, tags_at(2.0 * i))
         many.add(0.2 * i, np.zeros((100, 100), np.uint8), tags_at(2.0 * i))
     assert 8 <= len(few) <= 25 < len(many)
-    blind = KeptSmall(LENGTH, SIZE)
+    blind = KeptPictures()
     blind.add(0.0, np.zeros((100, 100), np.uint8), np.full((2, 4, 2), np.nan))
-    assert blind.small() is None
+    assert not blind.by_time()
 
 
 def tags_at(way: float) -> Array:
