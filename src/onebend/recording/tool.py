@@ -370,7 +370,9 @@ def _at(found: Sequence[Sequence[Meeting]], left: bool, s: float) -> list[Meetin
 FREEDOM = 4.0  # degrees of freedom of Student's t
 TOUCH = 1.0 / 6.0  # of the width: one sd of the place at which it touches about the middle of its end
 ROLLS = TOUCH  # of the width, per rad that the beam turns: by so much that place may move
-LIFTED = 0.5  # of the width: one sd of the height over the tags' plane at which the tool is seen
+# Of the width: what is seen of a tool is its upper edge. It lies below the tags' plane, or the tool would reach over
+# the body; so far below it as a rule, and as far off that (one sd).
+LOWER = 0.5
 # A force that leans, through the tool's end on the flank, meets the axis elsewhere. The beam is said to be pushed
 # there, or beside the tool's end; a place anywhere between is off by this share (RMS).
 LEANS = 1.0 / sqrt(3.0)
@@ -393,19 +395,19 @@ def _followed(
     """The place by the tool's edges in the pictures of these `strips`, near `s` (P,); as found, where too few show
     them. Where on its end the tool touches, and how high over the tags' plane it is seen, does not average out."""
     touch = contacts(strips, background, grid.length, found.width)
-    s = s + touch.along / grid.length
+    foot, distance = camera_place(strips[0].view)
+    tangent = np.array([strip.tangent for strip in strips])
+    away = np.sum((np.array([strip.origin for strip in strips]) - foot) * tangent, axis=1)
+    lower = LOWER * touch.width / grid.length * away / distance  # it is seen so much nearer to below the camera
+    s = s + touch.along / grid.length + lower
     middle = float(np.median(s[touch.clear])) if touch.clear.any() else nan
     clear = touch.clear & (np.abs(s - middle) <= TOGETHER)
     if clear.sum() < FEWEST_LOADED:
         return found
-    foot, distance = camera_place(strips[0].view)
-    tangent = np.array([strip.tangent for strip in strips])[clear]
-    away = np.sum((np.array([strip.origin for strip in strips])[clear] - foot) * tangent, axis=1)
-    turn = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
+    turn = np.unwrap(np.arctan2(tangent[clear, 1], tangent[clear, 0]))
     turn -= turn.mean()
-    effects = np.stack([np.full(len(turn), TOUCH), ROLLS * turn, LIFTED * away / distance], axis=1)
-    effects *= touch.width / grid.length
-    s = s[clear]
+    touches = touch.width / grid.length * np.stack([np.full(len(turn), TOUCH), ROLLS * turn], axis=1)
+    s, effects = s[clear], np.column_stack([touches, lower[clear]])
     scatter = MAD_TO_SD * float(np.median(np.abs(s - np.polyval(np.polyfit(turn, s, 1), turn))))
     sd = max(scatter, 0.5 * grid.step / grid.length)
     whole = float(np.hypot(sd / sqrt(len(s)), np.linalg.norm(effects.mean(axis=0))))
