@@ -257,8 +257,9 @@ def clamp_block(scene: rendering.Scene, base_angle: float) -> rendering.Drawing:
 
 def moment_of(cast: MovingScene, pose: BeamPose) -> rendering.Drawing:
     scene, tool = cast.scene, tool_outline(cast, pose)
-    above = scene.overlap > 0.0  # otherwise it pushes the flank, below the tags
-    layers = [] if above else [rendering.ColourLayer(tool, scene.tool)]
+    above = scene.overlap > 0.0  # otherwise it pushes the flank, and its upper edge is half a width below the tags
+    lower = rendering.lifted(tool, np.full(len(tool), -0.5 * scene.tool_width))
+    layers = [] if above else [rendering.ColourLayer(lower, scene.tool)]
     layers += [
         rendering.ColourLayer(strip(part, share * width), dimmed(scene.beam, bright))
         for share, bright in STRIPS

@@ -138,10 +138,7 @@ def fit_offset(film: FilmFeatures, log: ForceLog, stated: float, uncertainty: fl
 
 
 def matched(
-    film: FilmFeatures,
-    rows: clock_evidence.BinnedLog,
-    within: tuple[float, float],
-    prior: clock_evidence.Prior,
+    film: FilmFeatures, rows: clock_evidence.BinnedLog, within: tuple[float, float], prior: clock_evidence.Prior
 ) -> tuple[float, float, ForceNoise] | None:
     """Offset [s] between `within`, its sd [s] and the log's noise; None where film and log have too little in common.
 

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpotrf, dtbtrs, dtrtrs
 from scipy.ndimage import uniform_filter1d
 
-from onebend.recording.clock_features import FEWEST, HOLD, FilmFeatures, Track, lagging, resting
+from onebend.recording.clock_features import FEWEST, HOLD, FilmFeatures, Track, lagging
 from onebend.recording.force_noise import LEAST, TINY, first_guess, likeliest_noise
 from onebend.recording.signals import outliers, step
 from onebend.records import Array, ForceLog, ForceNoise, IntArray
@@ -400,13 +400,12 @@ def find_lag(film: FilmFeatures, log: ForceLog, offset: float) -> float | None:
     rows = compared_rows(film, log, (offset - LAG_REACH * SLOW[-1] - MARGIN, offset + MARGIN))
     if rows is None or not film.tracks:
         return None
-    rested = resting(film.tracks[0])
     # Of the film: a longer lag leaves no push to see.
     slow = [lag for lag in SLOW if lag <= 0.25 * film.tracks[0].duration]
 
     @cache
     def at(i: int) -> float:
-        return lag_evidence(rested, rows, offset, slow[i])
+        return lag_evidence(film.tracks[0], rows, offset, slow[i])
 
     best = next((i for i in range(1, len(slow), 2) if at(i) > 0.0), None)
     if best is None:
@@ -417,7 +416,7 @@ def find_lag(film: FilmFeatures, log: ForceLog, offset: float) -> float | None:
     if best + 1 >= len(slow) or not at(best) > 30.0:
         return None  # at the end of the range it is something else
     fine = np.geomspace((*QUICK[-1:], *slow)[best], slow[best + 1], 9)
-    logs = np.array([lag_evidence(rested, rows, offset, lag, within=float(fine[-1])) for lag in fine])
+    logs = np.array([lag_evidence(film.tracks[0], rows, offset, lag, within=float(fine[-1])) for lag in fine])
     weight = np.exp(logs - np.max(logs))
     return float(weight @ fine / np.sum(weight))
 

@@ -325,32 +325,22 @@ def load_change_ramps(seen: GaplessMarkers) -> Array:
     return np.reshape([change.fraction(seen.time) for change in wide], (len(wide), len(seen.time))).T
 
 
-def resting(track: Track) -> Track:
-    """The features with those seconds written out for which the beam, at rest in its last frames, stays so."""
-    apart = step(track.time)
-    more = track.time[-1] + apart * np.arange(1, int(track.after / apart) + 1)
-    if not len(more):
-        return track
-    time, value = np.append(track.time, more), track.integral.derivative()(track.time)
-    value = np.concatenate([value, np.broadcast_to(value[-1], (len(more), *value.shape[1:]))])
-    covered = np.append(track.covered, np.ones(len(more), dtype=bool))
-    return replace(
-        track, integral=CubicSpline(time, value, axis=0).antiderivative(), covered=covered, time=time, after=0.0
-    )
-
-
 FORGOTTEN = 0.05  # of a filter's memory: it lasts three time constants
 
 
 def lagging(track: Track, tau: float) -> Track:
-    """The features behind a first-order filter of time constant `tau` [s], at rest before the film. They are known
-    where less than `FORGOTTEN` of what the filter remembers lies in frames that are not."""
-    if tau == 0.0:
-        return track
-    value = np.asarray(filtered(track.time, track.integral.derivative()(track.time), tau))
-    unseen = filtered(track.time, (~track.covered).astype(float), tau)
-    covered = track.covered & (unseen < FORGOTTEN)
-    return replace(track, integral=CubicSpline(track.time, value, axis=0).antiderivative(), covered=covered)
+    """The features behind a first-order filter of time constant `tau` [s], at rest before the film; those seconds are
+    written out for which the beam, at rest in its last frames, stays so. They are known where less than `FORGOTTEN` of
+    what the filter remembers lies in frames that are not."""
+    apart = step(track.time)
+    more = np.arange(1, int(track.after / apart) + 1)
+    time = np.append(track.time, track.time[-1] + apart * more)
+    value = track.integral.derivative()(np.minimum(time, track.time[-1]))
+    covered = np.append(track.covered, np.ones(len(more), dtype=bool))
+    if tau > 0.0:
+        value = filtered(time, value, tau)
+        covered &= filtered(time, (~covered).astype(float), tau) < FORGOTTEN
+    return replace(track, integral=CubicSpline(time, value).antiderivative(), covered=covered, time=time, after=0.0)
 
 
 def filtered(time: Array, value: Array, tau: float) -> Array:

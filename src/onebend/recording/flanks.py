@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from onebend.errors import ObservationError
 from onebend.recording.entries import Recording
-from onebend.recording.plane import project
+from onebend.recording.plane import project, scale_of
 from onebend.recording.signals import MAD_TO_SD, nan_mean, nan_median, running_median
 from onebend.recording.video import picture_in, upright
 from onebend.records import Array, BoolArray, IntArray, View
@@ -313,12 +313,6 @@ class BodyPlace:
     def scale(self) -> float:
         """px/m along the body as it would lie straight."""
         return scale_of(self.view, self.stations.length)
-
-
-def scale_of(view: View, length: float) -> float:
-    """px/m along a straight body of this length [m] in the view's frame."""
-    ends = project(view, np.array([[0.0, 0.0], [length, 0.0]]))
-    return float(np.linalg.norm(ends[1] - ends[0])) / length
 
 
 # The first picture: the body is followed from the clamp to its tip.

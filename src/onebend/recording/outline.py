@@ -49,7 +49,7 @@ class OutlineSearch:
 def body_place(rec: entries.Recording, view: View) -> flanks.BodyPlace:
     """Where the body of a recording is looked for."""
     length = rec.beam.length
-    count = math.ceil(length * flanks.scale_of(view, length) / STATION)
+    count = math.ceil(length * plane.scale_of(view, length) / STATION)
     stations = flanks.Stations(length, min(max(2 * POINTS, count), STATIONS))
     base, paper = rec.tags.on_base[0].s, flanks.PAPER * rec.tags.size / length
     hidden = np.min([np.abs(stations.s - s) for s in (base, *(tag.s for tag in rec.tags.on_beam))], axis=0) < paper

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
@@ -21,7 +21,7 @@ from onebend.progress import Progress, Silent, track
 from onebend.recording import beam_frame, camera, flanks, signals, tables, tag_finder, video
 from onebend.recording.entries import Recording
 from onebend.recording.outline import PLACES, POINTS, STATION, OutlineSearch, centreline, points_of, refuse_lost
-from onebend.recording.plane import lay_square, project, to_plane, view_of
+from onebend.recording.plane import lay_square, project, scale_of, to_plane, view_of
 from onebend.recording.poses import ERROR_LENGTH, GUESSED_SD, PoseLoads, PosePoints, read_loads, static
 from onebend.recording.tags import track_block
 from onebend.recording.tracks import chord_angles
@@ -68,18 +68,8 @@ def tag_points(rec: Recording, loads: PoseLoads, progress: Progress) -> Traced:
 
 def points_of_markers(markers: Markers, clamp_sd: float, remarks: tuple[Remark, ...]) -> PosePoints:
     """The markers as points of poses."""
-    return PosePoints(
-        tag_id=markers.tag_id,
-        s=markers.s,
-        xy=markers.xy,
-        angle=markers.angle,
-        covariance=markers.covariance,
-        sd_known=True,
-        clamp_sd=clamp_sd,
-        view=markers.view,
-        remarks=(*markers.remarks, *remarks),
-        traced=markers.traced,
-    )
+    alike = {one.name: vars(markers)[one.name] for one in fields(PosePoints) if one.name in vars(markers)}
+    return PosePoints(**alike | {"remarks": (*markers.remarks, *remarks)}, sd_known=True, clamp_sd=clamp_sd)
 
 
 def detect_in_photos(rec: Recording, names: tuple[str, ...], progress: Progress = Silent()) -> Detections:
@@ -355,7 +345,7 @@ def level_view(origin: Array, scale: float, clamp: float) -> View:
 def found_in(rec: Recording, picture: str, image: Image.Image, view: View, clicks: Clicks | None = None) -> FoundBody:
     """The body in a picture whose plane and frame are known: along the clicks, or from the base tag on."""
     length = rec.beam.length
-    long = float(np.linalg.norm(np.diff(project(view, np.array([[0.0, 0.0], [length, 0.0]])), axis=0)))
+    long = length * scale_of(view, length)  # px
     smaller = max(1, int(long / LONGEST))
     sight = flanks.Sight(planes_in(image, smaller), smaller_view(view, smaller), np.zeros(2))
     stations = flanks.Stations(length, max(2 * POINTS, math.ceil(long / smaller / STATION)))

@@ -68,6 +68,12 @@ def camera_place(view: View) -> tuple[Array, float]:
     return np.asarray(place[:2]), float(abs(place[2]))
 
 
+def scale_of(view: View, length: float) -> float:
+    """px/m along a straight body of this length [m] in the view's frame."""
+    ends = project(view, np.array([[0.0, 0.0], [length, 0.0]]))
+    return float(np.linalg.norm(ends[1] - ends[0])) / length
+
+
 def view_of(view: View, origin: Array, angle: float) -> View:
     """The same view, of a frame of the plane with its origin at `origin` (2,) [m] and turned by `angle`."""
     cos, sin = np.cos(angle), np.sin(angle)

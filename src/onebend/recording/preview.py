@@ -56,10 +56,10 @@ def bent(markers: Markers) -> BoolArray:
     return np.asarray(away > 0.05 * float(away.max()))
 
 
-def look_at(rec: entries.Recording, *, count: int = LOOKS) -> Preview:
-    """Read the film (or its first `MOST_READ` frames), and look for tags in `count` frames spread evenly over it."""
+def look_at(rec: entries.Recording) -> Preview:
+    """Read the film (or its first `MOST_READ` frames), and look for tags in `LOOKS` frames spread evenly over it."""
     assert rec.video is not None
-    looked, frames, whole = spread_frames(rec.video, count)
+    looked, frames, whole = spread_frames(rec.video, LOOKS)
     ids = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
     sightings = search(looked, rec.tags.family, ids)
     seen = Counter(tag.tag_id for found in sightings for tag in found)

@@ -66,8 +66,8 @@ def along_tags(s: Array, xy: Array, angle: Array, length: float) -> CubicHermite
     return CubicHermiteSpline(at, places[first], length * unit(angles[first]))
 
 
-def bandwidth(time: Array, values: Array, fraction: float = 0.999) -> float:
-    """Frequency below which `fraction` of the power of the velocity of `values` lies, Hz; NaN where nothing moves.
+def bandwidth(time: Array, values: Array) -> float:
+    """Frequency below which 99.9 % of the power of the velocity of `values` lies, Hz; NaN where nothing moves.
 
     The samples' white noise rises as sin^2(pi f dt) in the velocity's spectrum; its size is the median above 0.4 of the
     highest frequency. It is taken off, and only frequencies count where the power is five times the noise. (T, c)
@@ -90,7 +90,7 @@ def bandwidth(time: Array, values: Array, fraction: float = 0.999) -> float:
     total = np.cumsum(np.where(counts, np.maximum(power - noise, 0.0), 0.0))
     if not total[-1] > 0:
         return float("nan")
-    return float(frequency[int(np.searchsorted(total, fraction * total[-1]))])
+    return float(frequency[int(np.searchsorted(total, 0.999 * total[-1]))])
 
 
 def steady(velocity: Array, grid: Array, time: Array, values: Array) -> Array:
@@ -109,15 +109,13 @@ def steady(velocity: Array, grid: Array, time: Array, values: Array) -> Array:
     return straightened
 
 
-def outliers(values: Array, *, spacing: float = 0.0, half_width: int = 7, threshold: float = 6.0) -> BoolArray:
-    """(N,) True where a column deviates from its running median by more than `threshold` robust local sd (Hampel).
+def outliers(values: Array, *, spacing: float = 0.0) -> BoolArray:
+    """(N,) True where a column deviates from its running median by more than six robust local sd (Hampel).
 
     The local scale is the running median of the absolute deviation over ten times the window, but at least half of the
     whole signal's, and what the signal changes from sample to sample. A signal without noise has no outliers. With
     samples `spacing` [s] apart the window is at most `SPIKE`, but five samples."""
-    if spacing > 0.0:
-        half_width = int(np.clip(0.5 * SPIKE / spacing, 2, half_width))
-    size = 2 * half_width + 1
+    size = 2 * int(np.clip(0.5 * SPIKE / spacing, 2, 7) if spacing > 0.0 else 7) + 1
     is_outlier = np.zeros(len(values), dtype=bool)
     if len(values) < size:
         return is_outlier
@@ -129,7 +127,7 @@ def outliers(values: Array, *, spacing: float = 0.0, half_width: int = 7, thresh
         scale = np.maximum(np.repeat(coarse, stride)[: len(deviation)], 0.5 * overall)
         change = median_filter(np.abs(np.diff(column, append=column[-1:])), size, mode="nearest")
         if overall > 0:
-            is_outlier |= deviation > threshold * np.maximum(scale, change)
+            is_outlier |= deviation > 6.0 * np.maximum(scale, change)
     return is_outlier
 
 

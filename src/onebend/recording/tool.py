@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, map_coordinates, uniform_filter
 
 from onebend.recording.entries import Recording
-from onebend.recording.plane import camera_place, project
+from onebend.recording.plane import camera_place, project, scale_of
 from onebend.recording.signals import MAD_TO_SD, along_tags, runs
 from onebend.recording.tool_edges import ToolStrip, contacts
 from onebend.recording.video import KeptFrames, Picture, pictures_at
@@ -61,8 +61,7 @@ def grid_of(length: float) -> SideGrid:
 
 def shrink_factor(view: View, length: float) -> int:
     """How many pixels of the film, each way, make one of the shrunk pictures."""
-    ends = project(view, np.array([[0.0, 0.0], [length, 0.0]]))
-    return max(1, math.ceil(float(np.linalg.norm(ends[1] - ends[0])) / BEAM_PIXELS))
+    return max(1, math.ceil(length * scale_of(view, length) / BEAM_PIXELS))
 
 
 def shrunk(picture: NDArray[np.uint8], factor: int) -> NDArray[np.float32]:
@@ -371,7 +370,9 @@ def _at(found: Sequence[Sequence[Meeting]], left: bool, s: float) -> list[Meetin
 FREEDOM = 4.0  # degrees of freedom of Student's t
 TOUCH = 1.0 / 6.0  # of the width: one sd of the place at which it touches about the middle of its end
 ROLLS = TOUCH  # of the width, per rad that the beam turns: by so much that place may move
-LIFTED = 0.5  # of the width: one sd of the height over the tags' plane at which the tool is seen
+# Of the width: what is seen of a tool is its upper edge. It lies below the tags' plane, or the tool would reach over
+# the body; so far below it as a rule, and as far off that (one sd).
+LOWER = 0.5
 # A force that leans, through the tool's end on the flank, meets the axis elsewhere. The beam is said to be pushed
 # there, or beside the tool's end; a place anywhere between is off by this share (RMS).
 LEANS = 1.0 / sqrt(3.0)
@@ -394,19 +395,19 @@ def _followed(
     """The place by the tool's edges in the pictures of these `strips`, near `s` (P,); as found, where too few show
     them. Where on its end the tool touches, and how high over the tags' plane it is seen, does not average out."""
     touch = contacts(strips, background, grid.length, found.width)
-    s = s + touch.along / grid.length
+    foot, distance = camera_place(strips[0].view)
+    tangent = np.array([strip.tangent for strip in strips])
+    away = np.sum((np.array([strip.origin for strip in strips]) - foot) * tangent, axis=1)
+    lower = LOWER * touch.width / grid.length * away / distance  # it is seen so much nearer to below the camera
+    s = s + touch.along / grid.length + lower
     middle = float(np.median(s[touch.clear])) if touch.clear.any() else nan
     clear = touch.clear & (np.abs(s - middle) <= TOGETHER)
     if clear.sum() < FEWEST_LOADED:
         return found
-    foot, distance = camera_place(strips[0].view)
-    tangent = np.array([strip.tangent for strip in strips])[clear]
-    away = np.sum((np.array([strip.origin for strip in strips])[clear] - foot) * tangent, axis=1)
-    turn = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
+    turn = np.unwrap(np.arctan2(tangent[clear, 1], tangent[clear, 0]))
     turn -= turn.mean()
-    effects = np.stack([np.full(len(turn), TOUCH), ROLLS * turn, LIFTED * away / distance], axis=1)
-    effects *= touch.width / grid.length
-    s = s[clear]
+    touches = touch.width / grid.length * np.stack([np.full(len(turn), TOUCH), ROLLS * turn], axis=1)
+    s, effects = s[clear], np.column_stack([touches, lower[clear]])
     scatter = MAD_TO_SD * float(np.median(np.abs(s - np.polyval(np.polyfit(turn, s, 1), turn))))
     sd = max(scatter, 0.5 * grid.step / grid.length)
     whole = float(np.hypot(sd / sqrt(len(s)), np.linalg.norm(effects.mean(axis=0))))
@@ -553,31 +554,23 @@ MOVED = 0.05  # of a tag's side: farther from where it was first, it may be push
 SECONDS, WAY = 0.1, 0.1  # s, and sides of a tag: so far apart are the pictures to begin with
 
 
-@dataclass(frozen=True)
-class _Kept:
-    """A picture with its tags."""
-
-    time: float  # s
-    middle: Array  # (m, 2) px
-    picture: Picture
-
-
 @dataclass
 class _Spread:
     """Pictures evenly over time and way; where there are too many, every other one goes, and so on."""
 
     share: float  # of all that are kept
     spacing: float = 1.0
-    kept: list[_Kept] = field(default_factory=list)
+    # Of each its time [s], and where its tags are, (m, 2) px.
+    kept: list[tuple[float, Array, Picture]] = field(default_factory=list)
 
     def wants(self, time: float, middle: Array, side: float) -> bool:
         """Whether a picture is far enough from the last one."""
         if not self.kept:
             return True
-        last = self.kept[-1]
-        return (time - last.time) / SECONDS + _farthest(middle - last.middle) / (WAY * side) >= self.spacing
+        last, there, _ = self.kept[-1]
+        return (time - last) / SECONDS + _farthest(middle - there) / (WAY * side) >= self.spacing
 
-    def add(self, one: _Kept, most: int) -> None:
+    def add(self, one: tuple[float, Array, Picture], most: int) -> None:
         """One more, of at most `most` in both stores."""
         self.kept.append(one)
         if len(self.kept) > max(1, int(self.share * most)):
@@ -599,7 +592,7 @@ class KeptPictures:
 
     def __contains__(self, time: object) -> bool:
         """Whether the picture of a time [s] is kept."""
-        return any(one.time == time for spread in (self._rest, self._away) for one in spread.kept)
+        return time in self.by_time()
 
     def add(self, time: float, picture: Picture, corners: Array) -> None:
         """Take notice of the newest picture, which shows the tags' corners (m, 4, 2) [px]; NaN where it does not."""
@@ -615,11 +608,11 @@ class KeptPictures:
         moved = _farthest(middle - self._first) > MOVED * self._side
         spread = self._away if moved else self._rest
         if self._most and spread.wants(time, middle, self._side):
-            spread.add(_Kept(time, middle, picture), self._most)
+            spread.add((time, middle, picture), self._most)
 
     def by_time(self) -> dict[float, Picture]:
         """Those that are kept, by their time [s]."""
-        return {one.time: one.picture for one in (*self._rest.kept, *self._away.kept)}
+        return {time: picture for time, _, picture in (*self._rest.kept, *self._away.kept)}
 
 
 def _farthest(way: Array) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, map_coordinates
 
-from onebend.recording.plane import project
+from onebend.recording.plane import project, scale_of
 from onebend.records import Array, BoolArray, View
 
 STEP = 0.5  # px, of the samples
@@ -64,8 +64,7 @@ class Contacts:
 
 def contacts(strips: Sequence[ToolStrip], background: NDArray[np.float32], length: float, width: float) -> Contacts:
     """The tool in these strips; `background` is a picture without it, `width` m at most the tool's."""
-    ends = project(strips[0].view, np.array([[0.0, 0.0], [length, 0.0]]))
-    step = STEP * length / float(np.linalg.norm(ends[1] - ends[0]))  # m
+    step = STEP / scale_of(strips[0].view, length)  # m
     aside = np.arange(-ASIDE * length, ASIDE * length + step, step)
     turned = [_turned(strip, aside, length, step) for strip in strips]
     edges = np.stack([edge for _, edge in turned])

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from onebend.recording.photos import smaller_view
-from onebend.recording.plane import to_plane
+from onebend.recording.plane import camera_place, to_plane
 from onebend.recording.tool import ToolPlace, tool_place
 from onebend.records import Array, BoolArray, Markers
 from tests.recording.filmed import HEIGHT, LENGTH, SIZE, WIDTH, poses, view
@@ -78,8 +78,9 @@ def filmed(*bars: tuple[float, Bar], seed: int = 0, shake: float = 0.0) -> Filme
 
 
 def covered_by(end: Array, direction: Array, width: float = 0.006, length: float = 0.12) -> BoolArray:
-    """(h, w) the pixels of a bar that goes from its end [m] on in a direction."""
-    away = plane() - end
+    """(h, w) the pixels of a bar that goes from its end [m] on in a direction, half its width below the tags."""
+    foot, distance = camera_place(view())
+    away = foot + (1.0 + 0.5 * width / distance) * (plane() - foot) - end
     along = away @ direction
     aside = np.abs(away @ np.array([-direction[1], direction[0]]))
     return np.asarray((along >= 0.0) & (along < length) & (aside < 0.5 * width))
