@@ -3,7 +3,8 @@
 Each runs in a process of its own on the same pictures, one thread, and is left out where it is not installed. Errors
 are those of the corners in pixels, after each detector's own convention (the half-pixel, the corners' order) is taken
 off: RMS over all corners, RMS of the tags' centres, and the median size of the tags' turn. `missed` counts tags that a
-person sees. The last row is what onebend makes of the same pictures: it follows the tags through every frame.
+person sees. The last row is what onebend makes of the same pictures: it follows the tags through every frame, and
+reads tags that stand still from their whole pattern.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ from onebend.recording.tags import TrackedFrame
 
 def frame(time: float) -> TrackedFrame:
     corners = np.full((2, 4, 2), time)
-    return TrackedFrame(time, corners, (10, 20))
+    return TrackedFrame(time, corners, corners, np.full(2, np.nan), (10, 20))
 
 
 def test_frames_stay_in_order_bounded_and_spread_over_the_whole_stream() -> None:
@@ -44,6 +46,18 @@ def test_a_late_frame_comes_into_its_place() -> None:
     for time in (0.0, 0.1, 0.3, 0.2, 0.4):
         history.add(frame(time))
     assert history.tracks().time.tolist() == [0.0, 0.1, 0.2, 0.3, 0.4]
+
+
+def test_a_tag_at_rest_is_corrected_in_all_its_frames_by_the_last_of_them() -> None:
+    history = FrameHistory(100)
+    for i in range(30):
+        came = frame(0.0)
+        since, shift = (0.0, 0.1 * (i >= 8)) if i < 20 else (2.0, 0.0)
+        history.add(replace(came, time=i / 10, corners=came.detected + shift, still_since=np.array([since, np.nan])))
+    x = history.tracks().corners[:, :, 0, 0]
+    assert np.allclose(x[:20, 0], 0.1)
+    assert np.all(x[20:, 0] == 0.0)
+    assert np.all(x[:, 1] == 0.0)
 
 
 def rows(time: list[float]) -> np.ndarray:

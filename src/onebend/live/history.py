@@ -35,6 +35,7 @@ class FrameHistory:
         self._looks = 0
         self._strangers: deque[int] = deque(maxlen=_MOST_SIGHTINGS)
         self._doubles: deque[tuple[int, int]] = deque(maxlen=_MOST_SIGHTINGS)
+        self._shifts: dict[tuple[int, float], Array] = {}  # (4, 2) px, by tag and by when it came where it stands
         self.count = 0  # of all frames so far
 
     def __len__(self) -> int:
@@ -46,6 +47,8 @@ class FrameHistory:
         self._strangers.extend(frame.strangers)
         self._doubles.extend((self.count, tag) for tag in frame.doubles)
         self.count += 1
+        for i in np.flatnonzero(np.isfinite(frame.still_since)).tolist():
+            self._shifts[i, float(frame.still_since[i])] = frame.corners[i] - frame.detected[i]
         if self._frames and frame.time < self._frames[-1].time:
             self._frames.insert(bisect_left(self._frames, frame.time, key=lambda one: one.time), frame)
         elif self._skipped + 1 >= self._every or frame.time in self._spared:
@@ -56,6 +59,8 @@ class FrameHistory:
         if len(self._frames) > self._most:
             self._frames = [one for i, one in enumerate(self._frames) if i % 2 == 0 or one.time in self._spared]
             self._every *= 2
+            kept = {(i, since) for one in self._frames for i, since in enumerate(one.still_since.tolist())}
+            self._shifts = {key: shift for key, shift in self._shifts.items() if key in kept}
 
     @property
     def frames(self) -> tuple[tags.TrackedFrame, ...]:
@@ -63,17 +68,26 @@ class FrameHistory:
         return tuple(self._frames)
 
     def tracks(self) -> tags.BlockTracks:
-        """The frames kept."""
+        """The frames kept. A tag at rest is corrected in all its frames by what the last of them say."""
         frames = self._frames
         return tags.BlockTracks(
             time=np.array([one.time for one in frames]),
-            corners=np.stack([one.corners for one in frames]),
+            corners=self._corrected(),
             searched=np.ones(len(frames), dtype=bool),
             shape=frames[0].shape,
             looks=self._looks,
             strangers=tuple(self._strangers),
             doubles=tuple(self._doubles),
         )
+
+    def _corrected(self) -> Array:
+        """(T, m, 4, 2) px."""
+        corners = np.stack([one.detected for one in self._frames])
+        since = np.stack([one.still_since for one in self._frames])
+        for (i, begun), shift in self._shifts.items():
+            if shift.any():
+                corners[since[:, i] == begun, i] += shift
+        return corners
 
 
 class ForceHistory:

@@ -6,7 +6,7 @@ import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice
 from queue import SimpleQueue
 from typing import TypeVar
@@ -108,10 +108,10 @@ def track_block(
         followed(more, 1)
         searched[more] = True
         step //= 2
+    tracks = tag_finder.correct_still(frames, tracks[known:], finder.cells)
     height, width = frames[0].luma.shape
     times = np.array([frame.time for frame in frames])
-    found = tuple(strangers), tuple(doubles)
-    return BlockTracks(times, tracks[known:], searched[known:], (height, width), looks, *found)
+    return BlockTracks(times, tracks, searched[known:], (height, width), looks, tuple(strangers), tuple(doubles))
 
 
 def uneven(tracks: Array, searched: BoolArray, phase: IntArray, step: int) -> IntArray:
@@ -174,6 +174,78 @@ def sure_doubles(sightings: Sequence[tag_finder.Sighting]) -> list[int]:
     """Ids that were read without an error at two places of one picture."""
     certain = [tag.tag_id for tag in sightings if tag.errors == 0]
     return sorted({tag for tag in certain if certain.count(tag) > 1})
+
+
+# Pictures of a tag at one place, after which its pattern is fitted; after the last they are counted anew, and what was
+# fitted before holds until the last again.
+FITS = (8, 32, 64)
+
+
+@dataclass
+class _Window:
+    """The pictures of one tag since it last moved, summed."""
+
+    since: float  # s, of the first of them
+    part: tuple[slice, slice]  # rows and columns of the picture
+    grey: Array  # their sum
+    corners: Array  # (4, 2) px, likewise
+    count: int = 0
+    fitted: int = 0  # pictures that the last fit was made of
+
+
+@dataclass
+class StillTags:
+    """What was seen of each tag since it last moved; of bounded size. At most one pattern is fitted a picture."""
+
+    cells: int | None  # along a tag's black square; None for families without a plain rim: nothing is corrected
+    shifts: dict[int, Array] = field(default_factory=dict)  # (4, 2) px, by the tag's place in the list
+    windows: dict[int, _Window] = field(default_factory=dict)
+
+    def correct(self, picture: Picture, corners: Array, time: float) -> tuple[Array, Array]:
+        """`corners` (m, 4, 2) px as the detector found them in the newest picture, at `time` [s], those of tags that
+        stand still moved by what their patterns say; and (m,) s, since when each stands where it is, NaN where it was
+        not seen. What a later picture says of the same stand holds for all of it."""
+        since = np.full(len(corners), np.nan)
+        if self.cells is None:
+            return corners, since
+        corrected, due = corners.copy(), -1
+        for i in np.flatnonzero(np.isfinite(corners).all(axis=(1, 2))).tolist():
+            window = self._with(i, picture, corners[i], time)
+            since[i] = window.since
+            late = next((count for count in FITS if window.fitted < count <= window.count), 0)
+            due = i if due < 0 and late else due
+        if due >= 0:
+            self._fit(due)
+        for i, shift in self.shifts.items():
+            corrected[i] += shift  # a tag that is not seen stays NaN
+        return corrected, since
+
+    def _with(self, i: int, picture: Picture, corners: Array, time: float) -> _Window:
+        """The window of tag `i`, this picture added; a new one where the tag has moved."""
+        window = self.windows.get(i)
+        if window is not None and np.abs(corners - window.corners / window.count).max() > tag_finder.STILL:
+            self.shifts.pop(i, None)
+            window = None
+        if window is None or window.count >= FITS[-1]:
+            part = tag_finder.part_around(corners, picture.shape)
+            shape = tuple(one.stop - one.start for one in part)
+            fitted = 0 if window is None else FITS[-2]
+            window = self.windows[i] = _Window(time, part, np.zeros(shape), np.zeros((4, 2)), 0, fitted)
+        window.grey += picture[window.part]
+        window.corners = window.corners + corners
+        window.count += 1
+        return window
+
+    def _fit(self, i: int) -> None:
+        """Fit the pattern of tag `i` to the mean of its pictures."""
+        assert self.cells is not None
+        window = self.windows[i]
+        mean, corner = window.corners / window.count, [window.part[1].start, window.part[0].start]
+        fitted = tag_finder.fit_pattern(window.grey / window.count, mean - corner, self.cells)
+        self.shifts.pop(i, None)
+        if fitted is not None and np.abs(fitted + corner - mean).max() <= tag_finder.MOST_SHIFT:
+            self.shifts[i] = fitted + corner - mean
+        window.fitted = window.count
 
 
 # Copies of pictures are known by their tags, which stand in them and then have gone on. The pixels of a packed film
@@ -427,6 +499,8 @@ class TrackedFrame:
 
     time: float  # s, the camera's own clock
     corners: Array  # (m, 4, 2) px, as in `records.Detections`; NaN where not seen
+    detected: Array  # (m, 4, 2) px, the same before the patterns of tags at rest corrected them
+    still_since: Array  # (m,) s, when each tag came to where it stands; NaN where it was not seen
     shape: tuple[int, int]  # height, width, px
     looked: bool = False  # the whole picture, or a part of it, was searched
     strangers: tuple[int, ...] = ()  # unexpected ids that were seen then
@@ -440,7 +514,8 @@ class Tracker:
         """A tracker that has seen nothing of the tags `tag_id` (m,) of one AprilTag family."""
         self.tag_id = tuple(tag_id)
         self._finder = tag_finder.Finder(family)
-        self._rows: list[tuple[float, Array]] = []  # time and corners, in order of time
+        self._still = StillTags(self._finder.cells)
+        self._rows: list[tuple[float, Array]] = []  # time and corners as detected, in order of time
         m = len(self.tag_id)
         self._last = np.full((m, m, 4, 2), np.nan)  # by tag: where all of them were when it was seen last
         self._turn, self._unseen = 0, 0
@@ -480,13 +555,17 @@ class Tracker:
             take(tracks[t], sightings or [], self.tag_id)
         self._rows.insert(t, (time, tracks[t]))
         del self._rows[:-LOOK_EVERY]
+        corners, since = tracks[t], np.full(len(self.tag_id), np.nan)
         if newest:
+            corners, since = self._still.correct(picture, tracks[t], time)
             seen = np.isfinite(tracks[t]).all(axis=(1, 2))
             self._last[seen] = tracks[t]
         found = sightings or []
         return TrackedFrame(
             time=time,
-            corners=tracks[t],
+            corners=corners,
+            detected=tracks[t],
+            still_since=since,
             shape=(picture.shape[0], picture.shape[1]),
             looked=sightings is not None,
             strangers=tuple(tag.tag_id for tag in found if tag.tag_id not in self.tag_id),

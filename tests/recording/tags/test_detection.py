@@ -13,7 +13,7 @@ import pytest
 
 from onebend.errors import ObservationError
 from onebend.recording.entries import TagEntry, TagsEntry, VideoEntry
-from onebend.recording.tag_finder import Finder
+from onebend.recording.tag_finder import CELLS, Finder, correct_still
 from onebend.recording.tags import detect_tags, in_order, track_block, uneven
 from onebend.recording.video import FilmFrame
 from onebend.records import Array
@@ -79,6 +79,35 @@ def test_tag_that_appears_is_followed_back_to_its_first_frame() -> None:
     tracks = track_block(film(true, range(4), view()), range(4), Finder("tag36h11"))
     assert np.isnan(tracks.corners[:11, 1]).all()
     assert np.isfinite(tracks.corners[11:, 1]).all()
+
+
+def test_whole_pattern_is_better_than_the_edges_for_a_still_tag() -> None:
+    random = np.random.default_rng(3)
+    before, after = [], []
+    for turn in random.uniform(-3, 3, 6):
+        pose = np.array([[0.07 + 0.001 * turn, 0.0, turn]])
+        frames = film(np.repeat(pose[None], 12, axis=0), [5], view(), seed=int(100 * abs(turn)))
+        finder = Finder("tag36h11")
+        raw = np.array([[finder.look(frame.luma)[0].corners] for frame in frames])
+        better = correct_still(frames, raw, CELLS["tag36h11"])
+        true = corners_of(pose, view())
+        before.append((raw.mean(axis=0) - true).ravel())
+        after.append((better.mean(axis=0) - true).ravel())
+    assert np.sqrt(np.mean(np.square(after))) < 0.7 * np.sqrt(np.mean(np.square(before)))
+    assert np.sqrt(np.mean(np.square(after))) < 0.025  # much of it from rendering by a few samples a pixel
+
+
+def test_pattern_fit_leaves_moving_and_half_hidden_tags_alone() -> None:
+    true = np.repeat(poses(3)[:1], 12, axis=0)
+    true[:, 1, 0] += 1e-4 * np.arange(12)  # about 0.2 px a frame
+    frames = film(true, range(4), view())
+    edge = corners_of(true, view()).copy()
+    for frame in frames:  # something dark over a third of tag 2, between its corners
+        left, top = edge[0, 2].min(axis=0).astype(int)
+        frame.luma[top + 4 : top + 24, left + 8 : left + 18] = 90
+    assert np.array_equal(correct_still(frames, edge, 8)[:, 1:3], edge[:, 1:3])
+    assert not np.array_equal(correct_still(frames, edge, 8)[:, 3], edge[:, 3])
+    assert np.array_equal(correct_still(frames, edge, None), edge)
 
 
 def still(
