@@ -65,6 +65,8 @@ def painted(page: Page) -> str:
 
 
 def test_record_learn_drag_read_reload_and_go_on(page: Page, lab: Path) -> None:
+    from playwright.sync_api import expect
+
     filled(page, "push", "fast")
     page.get_by_label("play as fast as it can be read").check()
     command = page.locator(".record .command code").inner_text()
@@ -95,8 +97,8 @@ def test_record_learn_drag_read_reload_and_go_on(page: Page, lab: Path) -> None:
     page.locator("nav a[data-room=record]").click()
     page.locator("h1", has_text="Recorded push").wait_for()
     page.locator("button", has_text="Another push of this beam").click()
-    assert page.get_by_label("folder to record into").input_value() == "push-2"
-    assert page.get_by_label("the beam is that of").input_value() == "push"
+    expect(page.get_by_label("folder to record into")).to_have_value("push-2")
+    expect(page.get_by_label("the beam is that of")).to_have_value("push")
     assert fits(page, 390)
 
 
