@@ -587,11 +587,11 @@ def tool_rows(data: FitData, layout: Layout) -> tuple[Array, Array]:
 
 
 def recording_information(
-    problem: FitProblem, number: int, rows: ResidualRows, x: Array, noise: RecordingNoise
+    layout: Layout, number: int, rows: ResidualRows, beside: BesideTags, x: Array, noise: RecordingNoise
 ) -> normal.InformationForm:
-    """Log likelihood of one recording's tags, rests, tool and frequencies."""
-    beside = beside_tags(problem, number, x).information(x[problem.layout.known_to(number)])
-    return normal.total([tag_information(rows, problem.layout, number, x, noise), beside])
+    """Log likelihood of one recording's tags, and of what it says `beside` them at parameters x (P,)."""
+    others = beside.information(x[layout.known_to(number)])
+    return normal.total([tag_information(rows, layout, number, x, noise), others])
 
 
 def data_information(
@@ -600,7 +600,7 @@ def data_information(
     """Log likelihood of all tags, rests and frequencies."""
 
     def of(number: int, r: ResidualRows, noise: RecordingNoise) -> normal.InformationForm:
-        form = recording_information(problem, number, r, x, noise)
+        form = recording_information(problem.layout, number, r, beside_tags(problem, number, x), x, noise)
         return replace(form, matrix=normal.in_own_pages(form.matrix))
 
     return JointInformation(each(of, range(len(rows)), rows, hyperparameters.noise), problem.layout.parts)

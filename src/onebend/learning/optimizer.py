@@ -77,15 +77,16 @@ class _Linearised:
     @cached_property
     def in_own_z(self) -> tuple[linear.JointInformation, linear.Prior]:
         """Information of all data and the prior, with each recording's own parameters in z."""
-        problem, estimate = self.problem, self.estimate
+        layout, estimate = self.problem.layout, self.estimate
 
-        def of(number: int, rows: linear.ResidualRows, noise: linear.RecordingNoise) -> normal.InformationForm:
-            return linear.own_in_z(
-                linear.recording_information(problem, number, rows, estimate.x, noise), self.before, number
-            )
+        def of(
+            number: int, rows: linear.ResidualRows, beside: linear.BesideTags, noise: linear.RecordingNoise
+        ) -> normal.InformationForm:
+            information = linear.recording_information(layout, number, rows, beside, estimate.x, noise)
+            return linear.own_in_z(information, self.before, number)
 
-        forms = each(of, range(len(self.rows)), self.rows, estimate.hyperparameters.noise)
-        return linear.JointInformation(forms, problem.layout.parts), linear.prior_in_own_z(self.before)
+        forms = each(of, range(len(self.rows)), self.rows, self.beside, estimate.hyperparameters.noise)
+        return linear.JointInformation(forms, layout.parts), linear.prior_in_own_z(self.before)
 
     def solved(self, damping: float = 0.0) -> linear.Solved:
         """The posterior of the linearised model in z; `damping` is added to its precision."""

@@ -398,7 +398,7 @@ def _followed(
     foot, distance = camera_place(strips[0].view)
     tangent = np.array([strip.tangent for strip in strips])
     away = np.sum((np.array([strip.origin for strip in strips]) - foot) * tangent, axis=1)
-    lower = LOWER * touch.width / grid.length * away / distance  # it is seen so much nearer to below the camera
+    lower = LOWER * touch.width / grid.length * away / distance  # so much nearer to the camera's foot is it seen
     s = s + touch.along / grid.length + lower
     middle = float(np.median(s[touch.clear])) if touch.clear.any() else nan
     clear = touch.clear & (np.abs(s - middle) <= TOGETHER)
@@ -445,7 +445,7 @@ def _leaning(tool: ToolPlace, seen: Observations) -> ToolPlace:
     out = tool.ends / np.maximum(height, 1e-12)[:, None]
     inwards = np.maximum(np.abs(np.sum(force * out, axis=1)), 1e-12)  # N
     steep = np.clip((force[:, 1] * out[:, 0] - force[:, 0] * out[:, 1]) / inwards, -_STEEPEST, _STEEPEST)
-    noise = np.minimum(np.linalg.norm(seen.force_sd) * np.hypot(1.0, steep) / inwards, _STEEPEST)
+    noise = np.fmin(np.linalg.norm(seen.force_sd) * np.hypot(1.0, steep) / inwards, _STEEPEST)  # NaN: not known
     way = LEANS * float(np.median(height)) / seen.length  # of one place: a single frame may show it far off
     effects = np.column_stack([tool.track.effects, way * steep])
     track = replace(tool.track, sd=np.hypot(tool.track.sd, way * noise), effects=effects)
@@ -608,7 +608,7 @@ class KeptPictures:
         moved = _farthest(middle - self._first) > MOVED * self._side
         spread = self._away if moved else self._rest
         if self._most and spread.wants(time, middle, self._side):
-            spread.add((time, middle, picture), self._most)
+            spread.add((time, middle, picture.copy()), self._most)  # its owner may write the next one into it
 
     def by_time(self) -> dict[float, Picture]:
         """Those that are kept, by their time [s]."""

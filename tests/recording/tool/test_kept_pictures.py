@@ -20,8 +20,10 @@ RATE = 8.0  # pictures per second
 def test_the_tool_is_seen_in_what_was_kept_as_in_the_film(at: float) -> None:
     film, kept = filmed((at, in_room(0.5))), KeptPictures()
     time: Array = np.arange(len(film.pictures)) / RATE
+    buffer = np.zeros(film.pictures.shape[1:], np.uint8)  # as of a camera that writes all its pictures into one
     for t, picture, tags in zip(time.tolist(), film.pictures, bends(), strict=True):
-        kept.add(t, np.clip(np.rint(picture), 0, 255).astype(np.uint8), corners_of(tags, view()))
+        buffer[:] = np.clip(np.rint(picture), 0, 255)
+        kept.add(t, buffer, corners_of(tags, view()))
     pictures, rec = kept.by_time(), replace(recording(), push=PushEntry(at=at))
     found = tool_in_stream(pictures, rec, film.markers, film.loaded, time)
     assert found.seen, found.why

@@ -236,16 +236,18 @@ def test_a_tool_whose_force_leans_may_act_beside_its_end() -> None:
 
 
 def test_one_frame_does_not_tell_how_all_forces_lean() -> None:
-    """An end that one frame shows far off changes nothing; a force within its noise leans either way."""
-    o = replace(observations(), force_sd=np.full(2, 0.1))
+    """An end that one frame shows far off changes nothing; a force within its noise leans either way, and so does any
+    force of a log whose noise is not known."""
+    o = observations()
     track = ToolTrack(o.time[:4], np.ones(4), np.full(4, 0.01), np.zeros((4, 1)))
     rec, ends = replace(recording(), push=PushEntry(at=1.0)), np.tile([0.0, -0.01], (4, 1))
     force = np.zeros_like(o.force)
     force[:4] = [[10.0, 10.0], [10.0, 10.0], [10.0, 10.0], [0.0, 0.01]]
 
-    def checked(ends: Array) -> ToolTrack:
-        tool = ToolPlace(1.0, 0.02, 0.007, False, 1.0, "", track, ends)
-        found = tool_checked(rec, replace(o, force=force), np.zeros(len(o.time)), lambda *_: tool).tool
+    def checked(ends: Array, force_sd: float = 0.1) -> ToolTrack:
+        tool, seen = ToolPlace(1.0, 0.02, 0.007, False, 1.0, "", track, ends), replace(o, force=force)
+        seen = replace(seen, force_sd=np.full(2, force_sd))
+        found = tool_checked(rec, seen, np.zeros(len(o.time)), lambda *_: tool).tool
         assert found is not None
         return found
 
@@ -254,6 +256,7 @@ def test_one_frame_does_not_tell_how_all_forces_lean() -> None:
     lever = 0.01 / o.length / np.sqrt(3.0)
     np.testing.assert_allclose(usual.sd[:3], np.hypot(0.01, 0.02 * lever))
     assert usual.sd[3] == pytest.approx(np.hypot(0.01, 2.0 * lever))
+    np.testing.assert_allclose(checked(ends, np.nan).sd, np.hypot(0.01, 2.0 * lever))
 
 
 def test_medians_are_those_of_numpy() -> None:
