@@ -528,7 +528,7 @@ def in_room(pose: Array, base_angle: float) -> Array:
 S = np.linspace(0.0, 1.0, 401)
 
 
-def write_truth(folder: Path, facts: Mapping[str, Any], **arrays: Array) -> None:
+def write_truth(folder: Path, facts: Mapping[str, Any], **arrays: Any) -> None:
     """Write `truth.npz` and `truth.json` into the `folder`. For comparison only: learning never reads them."""
     folder.mkdir(parents=True, exist_ok=True)
     np.savez_compressed(folder / "truth.npz", **arrays)

@@ -28,7 +28,8 @@ def write_stiffness(
     """`s,k_N_m,k_lo_N_m,k_hi_N_m,identified`, with a section also `E_Pa,E_lo_Pa,E_hi_Pa`. Without a band (`uncertain`
     None) `identified` is `unknown`; in doubt it is `no`."""
     s = np.linspace(0.0, 1.0, PLACES)
-    header, columns = ["s", "k_N_m", "k_lo_N_m", "k_hi_N_m", "identified"], [[f"{place:.3f}" for place in s]]
+    header = ["s", "k_N_m", "k_lo_N_m", "k_hi_N_m", "identified"]
+    columns: list[Iterable[Any]] = [[f"{place:.3f}" for place in s]]
     columns += [beam.stiffness(s), *np.full((2, PLACES), np.nan), ["unknown"] * PLACES]
     if uncertain is not None:
         band = uncertain.band(s)
