@@ -10,6 +10,7 @@ from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 from xml.etree import ElementTree as Xml
 
 import mujoco
@@ -27,11 +28,11 @@ from onebend.cli import app
 from onebend.errors import ExportError, ResultsError
 from onebend.export.chain import chain_of
 from onebend.export.export import KINDS, TABLES, Kind, columns, export, without
-from onebend.export.sample import PARTS, Relaxing, RodSample, drawn, rod_sample, sample_of_model
+from onebend.export.sample import PARTS, Relaxing, RodSample, drawn, rod_sample
 from onebend.files.single_file import write_file
 from onebend.learning.instruments import PlannedPush
 from onebend.records import PointMass, StatedSection
-from onebend.results.model import StoredModel, model_text, save_model
+from onebend.results.model import StoredModel, model_text, sample_of_model, save_model
 from tests.export.simulators import loaded, numbers
 from tests.export.test_round_trip import BEAMS, SMOOTH, STEP
 
@@ -246,7 +247,7 @@ def test_a_model_gives_all_that_it_knows(tmp_path: Path) -> None:
 
 def test_the_largest_push_of_a_model_is_the_one_that_amounts_are_said_for() -> None:
     pushes = tuple(PlannedPush(0.8, turn, largest) for turn, largest in ((0.0, 0.1), (0.5 * np.pi, 0.4), (1.0, 0.2)))
-    stored = SimpleNamespace(
+    stored: Any = SimpleNamespace(
         beam=SMOOTH,
         uncertain=None,
         setup=None,

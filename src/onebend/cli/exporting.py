@@ -11,10 +11,10 @@ from onebend.cli import common
 from onebend.cli.models import read_trusted
 from onebend.errors import ExportError
 from onebend.export.export import KINDS, MOST_SAMPLES, TABLES, Kind, export, without
-from onebend.export.sample import RodSample, drawn, sample_of_model
+from onebend.export.sample import RodSample, drawn
 from onebend.files.publish import SUMMARY
 from onebend.files.single_file import write_files
-from onebend.results.model import StoredModel, model_file
+from onebend.results.model import StoredModel, model_file, sample_of_model
 from onebend.text_files import read_json
 
 ExportTo = Annotated[Kind, typer.Option("--to")]

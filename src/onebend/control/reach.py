@@ -241,20 +241,16 @@ def resolved(candidate: ReachCandidate, goal: Array, settings: ReachSettings) ->
 __all__ = ["Reach", "ReachSettings", "reach"]
 
 
-@dataclass(frozen=True, repr=False)
-class Reach:
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Reach(ReachCandidate):
     """A force for a goal, or the reason why there is none, with the nearest point found."""
 
-    pushed: PushedBeam
     goal: Array  # (2,) m, or (3,) m, m, rad
     settings: ReachSettings
-    states: tuple[LoadedState, ...]  # on one branch from rest
     reached: Array  # (3,) m, m, rad: pose of the point
     converged: bool  # on the goal, within bounds, reached from rest
     reason: str
-    iterations: int
     nearest: NearestPoint | None  # to an unreachable goal
-    known: bool = False  # one step from a precomputed equilibrium
 
     tag = None  # as of `ReachInSetUp`
 
@@ -427,16 +423,13 @@ def _result(
     if not why and not (close and pushed.stable(last)):
         why = "a force was found, but on nodes fine enough its shape is not stable, or not on the goal"
     return Reach(
-        pushed=pushed,
+        **vars(candidate),
         goal=goal,
         settings=settings,
-        states=candidate.states,
         reached=reached,
         converged=not why,
         reason=why or "reached",
-        iterations=candidate.iterations,
         nearest=nearest,
-        known=candidate.known,
     )
 
 

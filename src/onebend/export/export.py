@@ -133,7 +133,7 @@ def export(
 ) -> str | bytes:
     """The content of a file of this kind.
 
-    `beam`: from `rod_sample` or `sample_of_model`; a bare `Beam` has no damping, no band and no places of tags.
+    `beam`: from `rod_sample` or `results.model.sample_of_model`; a bare `Beam` has no damping, band or places of tags.
     `hinges`: of the chains; None takes the kind's own number. `samples`: draws of it, for the columns of a table.
 
     Raises `ExportError`: an unknown kind, k(s) not positive, no mass, or a setting without meaning.

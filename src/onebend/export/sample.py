@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
@@ -15,10 +15,6 @@ from onebend.beam.setup import MOST_REACHED, SetUp
 from onebend.beam.stiffness import POISSON, SHAPE_LEVELS, SHAPE_PLACES, LogSpline, Polyline, UncertainStiffness, Uniform
 from onebend.errors import ExportError, MechanicsError
 from onebend.records import Array, StatedSection
-
-if TYPE_CHECKING:  # for the types alone: who exports a beam loads no fit
-    from onebend.learning.instruments import Instruments
-    from onebend.learning.swing import Damping
 
 MASSES = (1e-9, 1e6)  # kg, that a beam may have
 TIMES = (1e-9, 1e6)  # s, of damping over stiffness
@@ -162,53 +158,6 @@ def rod_sample(
             raise ExportError(f"the mass must be a positive number of kg ({MASSES[0]:g} to {MASSES[1]:g}), got {mass}")
         beam = replace(beam, mass_per_length=Uniform(mass / beam.length))
     return RodSample(beam, section, damping_time=damping_time, sites=sites, uncertain=uncertain)
-
-
-class ModelParts(Protocol):
-    """The parts of a `results.model.StoredModel` that an export takes."""
-
-    @property
-    def beam(self) -> Beam: ...
-    @property
-    def uncertain(self) -> UncertainStiffness | None: ...
-    @property
-    def setup(self) -> SetUp | None: ...
-    @property
-    def section(self) -> StatedSection | None: ...
-    @property
-    def damping(self) -> Damping | None: ...
-    @property
-    def bench(self) -> Instruments | None: ...
-
-
-def sample_of_model(
-    stored: ModelParts,
-    *,
-    mass: float | None = None,
-    damping_time: float | None = None,
-    sites: tuple[float, ...] = (),
-    told: tuple[tuple[str, str], ...] = (),
-) -> RodSample:
-    """The most probable beam of a model, all that the model knows of it included. Arguments as for `rod_sample`."""
-    damping_sd = 0.0
-    if damping_time is None and stored.damping is not None:
-        damping_time, damping_sd = stored.damping.loss_time, stored.damping.loss_time_sd / stored.damping.loss_time
-    rod = rod_sample(
-        stored.beam,
-        mass=mass,
-        damping_time=damping_time,
-        sites=sites,
-        section=stored.section,
-        uncertain=stored.uncertain,
-    )
-    rod = replace(rod, damping_sd=damping_sd)
-    if stored.setup is not None and stored.uncertain is not None:
-        rod = in_setup(replace(rod, setup=stored.setup), stored.setup.mean)
-    made = max(stored.bench.pushes, key=lambda push: push.largest, default=None) if stored.bench else None
-    if made is None:
-        return replace(rod, told=told)
-    force = (made.largest * math.cos(made.direction), made.largest * math.sin(made.direction))
-    return replace(rod, told=told, push=(force, made.at_s))
 
 
 _LEAST = 1e-3  # of a share: less is none

@@ -272,7 +272,7 @@ class Answer:
     @property
     def k_words(self) -> str:
         """In brackets where k is not identified."""
-        words = known(self.k)
+        words = significant(self.k)
         return words if self.told or not np.isfinite(self.k) else f"({words})"
 
     @property
@@ -281,7 +281,7 @@ class Answer:
 
 
 def answers(outcome: BatchOutcome) -> list[Answer]:
-    return [_answer(outcome.out, item, one) for item, one in zip(outcome.items, outcome.records, strict=True)]
+    return [_answer(outcome.out, *both) for both in zip(outcome.items, outcome.records, strict=True)]
 
 
 def _answer(out: Path, item: tasks.Item, one: tasks.Record) -> Answer:
@@ -293,11 +293,6 @@ def _answer(out: Path, item: tasks.Item, one: tasks.Record) -> Answer:
     there = one.k is not None and (out / report).is_file()
     address = quote(str(report)) if there else ""
     return Answer(item.name, item.group, k, low, high, told, share, verdict, len(one.warnings), address)
-
-
-def known(value: float) -> str:
-    """With a dash for an unknown number."""
-    return significant(value) if np.isfinite(value) else UNKNOWN
 
 
 # `index.html`: the answers, doubts, small pictures of k(s).
@@ -317,31 +312,19 @@ def page(outcome: BatchOutcome) -> str:
             ("in doubt", str(len(outcome.in_doubt)), "k(s) is not to be trusted, or not known"),
         ],
         "grouped": any(names),
-        "answers": [{"name": one_line(one.name), "group": one_line(one.group), "one": one} for one in rows],
-        "known": known,
+        "answers": rows,
         "reports": any(one.report for one in rows),
-        "reasons": _reasons(outcome),
+        "reasons": {
+            "In doubt": outcome.in_doubt,
+            "Not learned": [(item.name, why) for item, why in outcome.failed],
+            "Warnings": [(name, text) for name, one in outcome.learned for text in one.warnings],
+        },
         "groups": [one for name in names if (one := _group(outcome, name, least, most))["pictures"]],
         "least": significant(least),
         "most": significant(most),
         "data": "{}",
     }
     return render("onebend.many", "batch.html", {}, content, scripts=("sort.js",))
-
-
-def _reasons(outcome: BatchOutcome) -> list[dict[str, Any]]:
-    """Names and reasons under their headings; no heading without a name."""
-    warned = [(name, text) for name, one in outcome.learned for text in one.warnings]
-    kinds = {
-        "In doubt": outcome.in_doubt,
-        "Not learned": [(item.name, why) for item, why in outcome.failed],
-        "Warnings": warned,
-    }
-    return [
-        {"title": title, "rows": [(one_line(name), one_line(" ".join(why.split()))) for name, why in rows]}
-        for title, rows in kinds.items()
-        if rows
-    ]
 
 
 def _range(records: Sequence[tasks.Record]) -> tuple[float, float]:
@@ -361,8 +344,8 @@ def _group(outcome: BatchOutcome, name: str, least: float, most: float) -> dict[
         s = tasks.PLACES[::STEP]
         band = [*_points(s, one.low[::STEP], least, most), *_points(s, one.high[::STEP], least, most)[::-1]]
         curve = _points(s, one.k[::STEP], least, most)
-        pictures.append({"name": one_line(item.name), "band": " ".join(band), "curve": " ".join(curve)})
-    return {"name": one_line(name), "pictures": pictures}
+        pictures.append({"name": item.name, "band": " ".join(band), "curve": " ".join(curve)})
+    return {"name": name, "pictures": pictures}
 
 
 def _points(s: Array, k: Array, least: float, most: float) -> list[str]:

@@ -50,7 +50,7 @@ def _answer_table(outcome: BatchOutcome) -> Table:
     table.add_column("verdict", overflow="fold")
     table.add_column("warnings", justify="right")
     for one in batches.answers(outcome)[:MOST_ROWS]:
-        band = map(batches.known, (one.low, one.high))
+        band = map(significant, (one.low, one.high))
         cells = (one.k_words, *band, one.identified_words, one.verdict, str(one.warnings or ""))
         table.add_row(Text(one_line(one.name)), *map(Text, cells))
     return table

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -18,6 +19,7 @@ from onebend.beam.section import ModulusBand, modulus_band, one_modulus, section
 from onebend.beam.setup import SetUp
 from onebend.beam.stiffness import Profile, UncertainStiffness
 from onebend.errors import MechanicsError, OnebendError, ResultsError
+from onebend.export.sample import RodSample, in_setup, rod_sample
 from onebend.files.publish import OWN_CHECKSUM, SUMMARY, is_listed_otherwise, is_unchanged, with_checksum
 from onebend.learning.outcome import Comparison, Learned, modulus_along
 from onebend.record_data import record_from
@@ -363,3 +365,33 @@ def stiffness_summary(
     if one is not None:
         found |= dict(zip(("E_mean_Pa", "E_mean_lo_Pa", "E_mean_hi_Pa"), one, strict=True))
     return found
+
+
+def sample_of_model(
+    stored: StoredModel,
+    *,
+    mass: float | None = None,
+    damping_time: float | None = None,
+    sites: tuple[float, ...] = (),
+    told: tuple[tuple[str, str], ...] = (),
+) -> RodSample:
+    """The most probable beam of a model, all that the model knows of it included. Arguments as for `rod_sample`."""
+    damping_sd = 0.0
+    if damping_time is None and stored.damping is not None:
+        damping_time, damping_sd = stored.damping.loss_time, stored.damping.loss_time_sd / stored.damping.loss_time
+    rod = rod_sample(
+        stored.beam,
+        mass=mass,
+        damping_time=damping_time,
+        sites=sites,
+        section=stored.section,
+        uncertain=stored.uncertain,
+    )
+    rod = replace(rod, damping_sd=damping_sd)
+    if stored.setup is not None and stored.uncertain is not None:
+        rod = in_setup(replace(rod, setup=stored.setup), stored.setup.mean)
+    made = max(stored.bench.pushes, key=lambda push: push.largest, default=None) if stored.bench else None
+    if made is None:
+        return replace(rod, told=told)
+    force = (made.largest * math.cos(made.direction), made.largest * math.sin(made.direction))
+    return replace(rod, told=told, push=(force, made.at_s))
