@@ -51,6 +51,7 @@ from .reach import (
     ErrorEllipse as ErrorEllipse,
     PredictedError as PredictedError,
     Reach as Reach,
+    ReachCandidate as ReachCandidate,
     ReachInSetUp as ReachInSetUp,
     predicted_error as predicted_error,
     reach_in_setup as reach_in_setup,

@@ -144,6 +144,54 @@ class ReachCandidate:
     wrong: str = ""  # violated bound
     known: bool = False  # one step from a known equilibrium
 
+    @property
+    def beam(self) -> Beam:
+        return self.pushed.beam
+
+    @property
+    def push_s(self) -> float:
+        return self.pushed.push_s
+
+    @property
+    def point_s(self) -> float:
+        return self.pushed.point_s
+
+    @property
+    def resolution(self) -> Resolution:
+        return self.pushed.resolution
+
+    @property
+    def force(self) -> Array:
+        """(2,) N."""
+        return self.states[-1].load[:2].copy()
+
+    @property
+    def moment(self) -> float:
+        """N m."""
+        return float(self.states[-1].load[2])
+
+    @cached_property
+    @one_blas_thread
+    def solved(self) -> Equilibrium:
+        """The last shape, by `beam.statics`."""
+        last = self.states[-1]
+        return refine(self.pushed.loaded(last.load), self.pushed.whole(last.q)[None])
+
+    @cached_property
+    def reached(self) -> Array:
+        """(3,) m, m, rad: pose of the point."""
+        return self.pushed.pose(self.states[-1].q)
+
+    @property
+    def stable(self) -> bool:
+        return self.pushed.stable(self.states[-1])
+
+    @property
+    def loads(self) -> Loads:
+        """All final loads."""
+        weighs = weight(self.pushed.gravity)
+        return weighs + push(self.force, self.push_s) + twist(self.moment, self.push_s)
+
 
 def search(pushed: PushedBeam, goal: Array, settings: ReachSettings) -> ReachCandidate | None:
     """An equilibrium on the goal reached from rest; out of bounds only if there is no other."""
@@ -247,7 +295,6 @@ class Reach(ReachCandidate):
 
     goal: Array  # (2,) m, or (3,) m, m, rad
     settings: ReachSettings
-    reached: Array  # (3,) m, m, rad: pose of the point
     converged: bool  # on the goal, within bounds, reached from rest
     reason: str
     nearest: NearestPoint | None  # to an unreachable goal
@@ -257,39 +304,6 @@ class Reach(ReachCandidate):
     def __repr__(self) -> str:
         goal, force = (", ".join(f"{value:.4g}" for value in values) for values in (self.goal, self.force))
         return f"Reach(goal=({goal}) m, {f'force=({force}) N' if self.converged else f'no force: {self.reason}'})"
-
-    @property
-    def beam(self) -> Beam:
-        return self.pushed.beam
-
-    @property
-    def push_s(self) -> float:
-        return self.pushed.push_s
-
-    @property
-    def point_s(self) -> float:
-        return self.pushed.point_s
-
-    @property
-    def resolution(self) -> Resolution:
-        return self.pushed.resolution
-
-    @property
-    def force(self) -> Array:
-        """(2,) N."""
-        return self.states[-1].load[:2].copy()
-
-    @property
-    def moment(self) -> float:
-        """N m."""
-        return float(self.states[-1].load[2])
-
-    @cached_property
-    @one_blas_thread
-    def solved(self) -> Equilibrium:
-        """The last shape, by `beam.statics`."""
-        last = self.states[-1]
-        return refine(self.pushed.loaded(last.load), self.pushed.whole(last.q)[None])
 
     @cached_property
     @one_blas_thread
@@ -317,16 +331,6 @@ class Reach(ReachCandidate):
     def error(self) -> float:
         """m, from the goal."""
         return float(np.linalg.norm(self.reached[:2] - self.goal[:2]))
-
-    @property
-    def stable(self) -> bool:
-        return self.pushed.stable(self.states[-1])
-
-    @property
-    def loads(self) -> Loads:
-        """All final loads."""
-        weighs = weight(self.settings.gravity)
-        return weighs + push(self.force, self.push_s) + twist(self.moment, self.push_s)
 
     def shapes(self, s: Array) -> Array:
         """(P, S, 2) m at `s` (S,)."""
@@ -416,17 +420,17 @@ def _result(
     candidate: ReachCandidate, goal: Array, settings: ReachSettings, why: str, nearest: NearestPoint | None = None
 ) -> Reach:
     """`why`: reason if the goal is not reached."""
-    pushed, last = candidate.pushed, candidate.states[-1]
-    reached = pushed.pose(last.q)
     allowed = settings.tolerance if settings.method == "newton" else 2.0 * settings.paper.tolerance
-    close = np.linalg.norm(reached[:2] - goal[:2]) <= allowed
-    if not why and not (close and pushed.stable(last)):
+    close = np.linalg.norm(candidate.reached[:2] - goal[:2]) <= allowed
+    if not why and not (close and candidate.stable):
         why = "a force was found, but on nodes fine enough its shape is not stable, or not on the goal"
     return Reach(
-        **vars(candidate),
+        candidate.pushed,
+        candidate.states,
+        candidate.iterations,
+        known=candidate.known,
         goal=goal,
         settings=settings,
-        reached=reached,
         converged=not why,
         reason=why or "reached",
         nearest=nearest,
@@ -503,7 +507,7 @@ _NO_BOUND = (
 def predicted_error(
     beam: Beam,
     uncertain: UncertainStiffness,
-    result: Reach,
+    result: ReachCandidate,
     *,
     same_sensor: bool = False,
     draws: int = _DRAWS,
@@ -531,7 +535,7 @@ def predicted_error(
     return PredictedError(result.reached[:2], np.mean(places, axis=0), np.cov(places.T), float(np.mean(~stands)))
 
 
-def _first_order(known: UncertainStiffness, result: Reach) -> Array:
+def _first_order(known: UncertainStiffness, result: ReachCandidate) -> Array:
     """(2, 2) m^2."""
     nodes = result.solved.problem.grid.nodes
     basis = np.column_stack([known.basis(nodes), np.ones(len(nodes))])

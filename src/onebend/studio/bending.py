@@ -24,7 +24,7 @@ from onebend.beam.setup import SetUp
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.control.loaded_beam import LoadedState, PushedBeam
 from onebend.control.loop_simulation import AXIS_PLACES
-from onebend.control.reach import Reach, ReachSettings, predicted_error
+from onebend.control.reach import ReachCandidate, predicted_error
 from onebend.control.reach_set import DragAnswer, DraggedPoint, Edge, HeldEnd, ReachMap, reach_map
 from onebend.errors import ControlError, StudioError
 from onebend.records import Array, BoolArray
@@ -98,20 +98,8 @@ def ellipse_of(
     pushed: PushedBeam, known: UncertainStiffness, state: LoadedState, draws: int = 0
 ) -> dict[str, Any] | None:
     """The 95 % ellipse; without draws to first order."""
-    pose = pushed.pose(state.q)
-    found = Reach(
-        pushed=pushed,
-        goal=pose[:2],
-        settings=ReachSettings(),
-        states=(pushed.start, state),
-        reached=pose,
-        converged=True,
-        reason="reached",
-        iterations=0,
-        nearest=None,
-    )
     try:
-        error = predicted_error(pushed.beam, known, found, draws=draws)
+        error = predicted_error(pushed.beam, known, ReachCandidate(pushed, (pushed.start, state), 0), draws=draws)
     except ControlError:
         return None
     ellipse = error.ellipse()
