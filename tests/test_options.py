@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
-from inspect import Parameter, signature
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -40,7 +39,7 @@ def answer(*words: str, kind: Any = Outer) -> Any:
     """What a command with these settings is given, or its message where it refuses the words."""
     given: list[Any] = []
 
-    def command(*, name: Annotated[str, typer.Option("--name")] = "beam", settings: Any) -> None:
+    def command(*, name: str = "beam", settings: Any) -> None:
         given.append((name, settings))
 
     command.__annotations__["settings"] = kind
@@ -84,12 +83,17 @@ def test_a_command_may_take_some_fields_alone() -> None:
     assert "No such option" in answer("--unfilmed", kind=kind)
 
 
-def test_a_command_without_settings_keeps_its_parameters() -> None:
-    def command(*, name: str = "beam") -> None: ...
+def test_other_parameters_are_options_and_arguments_by_their_names() -> None:
+    given: list[Any] = []
 
-    assert list(signature(expanded(command)).parameters.values()) == [
-        Parameter("name", Parameter.KEYWORD_ONLY, default="beam", annotation=str)
-    ]
+    def command(folder: Path, *, most_views: int = 30) -> None:
+        given.append((folder, most_views))
+
+    app = typer.Typer()
+    app.command()(expanded(command))
+    for words in (("here",), ("there", "--most-views", "4")):
+        assert CliRunner().invoke(app, words).exit_code == 0
+    assert given == [(Path("here"), 30), (Path("there"), 4)]
 
 
 def test_every_option_has_its_help_and_every_help_its_option() -> None:

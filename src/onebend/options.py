@@ -11,7 +11,6 @@ import math
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
-from copy import copy
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cache, wraps
 from inspect import Parameter, signature
@@ -88,14 +87,14 @@ def _unit(name: str) -> str | None:
 
 
 def expanded(command: Callable[..., None], name: str = "") -> Callable[..., None]:
-    """The command with an option for each declared field in place of its parameters that are settings; the others with
-    the help that `options.toml` has of them under the command's `name`, or of `every` command."""
+    """The command with an option for each declared field in place of its parameters that are settings; the others as
+    `options.toml` has them under the command's `name`, or of `every` command."""
     kinds = get_type_hints(command, include_extras=True)
     parameters = list(signature(command).parameters.values())
     settings = {one.name: kinds[one.name] for one in parameters if is_dataclass(_bare(kinds[one.name]))}
     flat: list[Parameter] = []
     for one in parameters:
-        flat += _parameters(settings[one.name]) if one.name in settings else [_helped(one, kinds[one.name], name)]
+        flat += _parameters(settings[one.name]) if one.name in settings else [_named(one, kinds[one.name], name)]
 
     @wraps(command)
     def inside(**given: Any) -> None:
@@ -107,13 +106,15 @@ def expanded(command: Callable[..., None], name: str = "") -> Callable[..., None
     return inside
 
 
-def _helped(one: Parameter, kind: Any, command: str) -> Parameter:
-    if get_origin(kind) is Annotated:
-        bare, said = get_args(kind)
-        said = copy(said)
-        said.help = said.help or {**helps()["every"], **helps().get(command, {})}.get(one.name)
-        kind = Annotated[bare, said]
-    return one.replace(annotation=kind)
+def _named(one: Parameter, kind: Any, command: str) -> Parameter:
+    """An option of a keyword, an argument of another parameter, as `options.toml` has it."""
+    import typer  # here: a library that only declares options does without
+
+    entry: Any = {**helps()["every"], **helps().get(command, {})}.get(one.name, "")
+    said = dict(entry) if isinstance(entry, dict) else {"help": entry}
+    names = said.pop("name", f"--{one.name.replace('_', '-')}").split()
+    info = typer.Option(*names, **said) if one.kind is Parameter.KEYWORD_ONLY else typer.Argument(**said)
+    return one.replace(annotation=Annotated[kind, info])
 
 
 def _bare(kind: Any) -> Any:
@@ -147,8 +148,8 @@ def _parameters(settings: Any) -> Iterator[Parameter]:
 
 
 @cache
-def helps() -> dict[str, dict[str, str]]:
-    """The help of each option, by the class of its settings: `options.toml`."""
+def helps() -> dict[str, dict[str, Any]]:
+    """`options.toml`: the help of each option by the class of its settings, and the options of each command."""
     return tomllib.loads(Path(__file__).with_name("options.toml").read_text(encoding="utf-8"))
 
 

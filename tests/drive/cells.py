@@ -103,6 +103,22 @@ class CellCamera:
         return Frame(draw(), exposed, max(due, self._clock.now()), self._count)
 
 
+class BlindEye(BenchCamera):
+    """It draws nothing."""
+
+    def __init__(self, *_: Any, **__: Any) -> None:
+        pass
+
+    def picture(self, poses: Array, force: Array, time: float) -> Picture:  # noqa: ARG002
+        return np.zeros((1, 1), np.uint8)
+
+
+class BlindCell(VirtualCell):
+    """A cell that no picture is looked at of."""
+
+    eye = BlindEye
+
+
 class FaultyEye(BenchCamera):
     """It shows what happened to tags: "swapped", the last two; "hidden", the number of one that is covered."""
 

@@ -29,6 +29,7 @@ from onebend.records import Array
 from onebend.results.model import StoredModel
 from tests.drive.cells import (
     QUICK,
+    BlindCell,
     CellCamera,
     CellRobot,
     FaultyCell,
@@ -257,7 +258,7 @@ def test_a_computer_that_is_late_at_rest_moves_nothing(tmp_path: Path) -> None:
 
 def made_drive(tmp_path: Path, **settings: Any) -> tuple[Drive, VirtualCell, Noting]:
     rec = read_recording(described(tmp_path, width=640), filmed=False)
-    cell = VirtualCell(setup_for(rec, holds=False, sees=math.radians(60.0)), draws=False)
+    cell = BlindCell(setup_for(rec, holds=False, sees=math.radians(60.0)))
     robot = Noting(cell)
     made = Drive(planned(rec, [goal_of()], settings=replace(QUICK, **settings)), robot, rec)
     return made, cell, robot

@@ -18,14 +18,13 @@ from onebend.drive.placing import Placement, fitted, from_recording, stated_plac
 from onebend.drive.plan import DriveLimits, DriveSettings, gravity_of, make_plan, plan_data, plan_rows, read_wanted
 from onebend.drive.robots import FCI, SmoothFollower, ToolForce, ToolPose, pose_of
 from onebend.drive.seeing import DelayMeter, SeenBeam, point_between
-from onebend.drive.virtual import VirtualCell
 from onebend.errors import ControlError, ObservationError, RecordingError
 from onebend.learning.instruments import instruments_of
 from onebend.recording.entries import Recording
 from onebend.recording.folder import read_recording
 from onebend.results.model import StoredModel
 from tests import made_up
-from tests.drive.cells import LENGTH, QUICK, described, model_of, planned, recorded_push, setup_for
+from tests.drive.cells import LENGTH, QUICK, BlindCell, described, model_of, planned, recorded_push, setup_for
 
 
 @pytest.fixture
@@ -225,7 +224,7 @@ def test_a_point_between_tags_is_seen_by_its_neighbours() -> None:
 @pytest.mark.parametrize("at_s", [1.0, 0.8])
 def test_the_virtual_hand_finds_the_force_of_the_beam(at_s: float, tmp_path: Path) -> None:
     rec = read_recording(described(tmp_path, at_s=at_s, width=640), filmed=False)
-    cell = VirtualCell(setup_for(rec, holds=False, at_s=at_s, off=(0.0, 0.0, 0.0)), draws=False)
+    cell = BlindCell(setup_for(rec, holds=False, at_s=at_s, off=(0.0, 0.0, 0.0)))
     place = stated_placement(rec).moved_to(cell.state().pose.position, cell.hand[:2])
     for step in range(1, 26):  # a straight way would press the beam lengthwise
         x, y = goal_of((0.0008 * step, 0.01 * step), at_s)

@@ -285,7 +285,7 @@ class ContinuationSettings:
 
 _PROBE_FRAMES = 4  # frames that decide the resolution of a batch
 _TIP = np.array([1.0])
-_ROUGHLY = 1e-6  # rad, accuracy of shapes for `settle`
+_ROUGHLY = ContinuationSettings(tolerance=1e-6)  # for `settle`
 
 _HIGHER_ORDER_SHARE = 0.7  # largest share of the predicted turn from higher-order terms
 _LOAD_OVERSHOOT = 1e-3  # share of the load by which it passes the end of a branch before the beam falls
@@ -314,7 +314,6 @@ def equilibrium(
     loads: Loads,
     *,
     resolution: problems.Resolution | None = None,
-    settings: ContinuationSettings = ContinuationSettings(),
     fall: Side | None = None,
 ) -> statics.Equilibrium:
     """Shapes under loads, on the branch that grows from rest (8).
@@ -326,13 +325,11 @@ def equilibrium(
     Raises `MechanicsError`: k(s) is not positive.
     """
     if resolution is not None:
-        return follow(problems.make_problem(beam, loads, resolution), settings=settings, fall=fall)
-    return _on_fine_enough_grid(beam, loads, settings, fall)
+        return follow(problems.make_problem(beam, loads, resolution), fall=fall)
+    return _on_fine_enough_grid(beam, loads, fall)
 
 
-def _on_fine_enough_grid(
-    beam: problems.Rod, loads: Loads, settings: ContinuationSettings, fall: Side | None
-) -> statics.Equilibrium:
+def _on_fine_enough_grid(beam: problems.Rod, loads: Loads, fall: Side | None) -> statics.Equilibrium:
     """Refines the grid for the few frames that bend most."""
     first, own = problems.first_resolution(beam, loads)
     resolution, problem = first, problems.make_problem(beam, loads, first)
@@ -340,7 +337,7 @@ def _on_fine_enough_grid(
     while True:
         part, nodal = problem if chosen is None else problem.take(chosen), problems.remembered(beam, loads, resolution)
         basis = None if nodal is None else nodal.basis
-        result = _solved(part, basis, settings, fall, before)
+        result = _solved(part, basis, fall, before)
         missed = problems.missed_by_angles(part.grid, result.q)
         if resolution.widest <= problems.NARROW or np.all(missed < max(problems.RESOLVED, problems.AS_ROUGH * own)):
             break
@@ -352,22 +349,21 @@ def _on_fine_enough_grid(
         return result
     rough, coarse = None, problems.remembered(beam, loads, first)
     if resolution != first and basis is not None and coarse is not None and fall is None:
-        rough = follow(in_basis(on_first, coarse.rough), settings=replace(settings, tolerance=_ROUGHLY))
-    return _solved(problem, basis, settings, fall, rough)
+        rough = follow(in_basis(on_first, coarse.rough), settings=_ROUGHLY)
+    return _solved(problem, basis, fall, rough)
 
 
 def _solved(
     problem: problems.Problem,
     basis: problems.MomentBasis | None,
-    settings: ContinuationSettings,
     fall: Side | None,
     before: statics.Equilibrium | None = None,
 ) -> statics.Equilibrium:
     """As `follow`; with few unknowns, or from a coarser grid, where that leads to a stable equilibrium."""
     if basis is None or fall is not None:
-        return follow(problem, settings=settings, fall=fall)
+        return follow(problem, fall=fall)
     if before is None:
-        found = follow(in_basis(problem, basis), settings=replace(settings, tolerance=_ROUGHLY))
+        found = follow(in_basis(problem, basis), settings=_ROUGHLY)
         begin = found.q
     else:
         found, begin = before, on_grid(before, problem, basis)
@@ -378,8 +374,8 @@ def _solved(
     if lost.size == 0:
         return replace(found, problem=problem, q=q)
     if lost.size == len(q):
-        return follow(problem, settings=settings)
-    return replace(found, problem=problem, q=q).put(lost, follow(problem.take(lost), settings=settings))
+        return follow(problem)
+    return replace(found, problem=problem, q=q).put(lost, follow(problem.take(lost)))
 
 
 def _hardest(problem: problems.Problem) -> IntArray | None:

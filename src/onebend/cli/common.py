@@ -47,13 +47,6 @@ if TYPE_CHECKING:
 
 LEAST, MOST = POSITIVE
 
-PushAt = Annotated[float, typer.Option("--push-at", min=LEAST, max=1.0, metavar="S")]
-Point = Annotated[float, typer.Option("--point", min=LEAST, max=1.0, metavar="S")]
-Goal = Annotated[tuple[float, float], typer.Option("--goal", metavar="X Y")]
-Gravity = Annotated[tuple[float, float], typer.Option("--gravity-m-s2", metavar="GX GY")]
-Recording = Annotated[Path, typer.Argument(metavar="REC")]
-Model = Annotated[Path, typer.Argument(metavar="MODEL")]
-
 
 class Listener(Progress, Protocol):
     """A program that has a command carried out, in the place of a person at a screen."""

@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -68,21 +67,17 @@ def _sureness_of_goal(error: PredictedError | None, source: str) -> str:
     return f"{ellipse} its {100 * SURE:.0f} % ellipse, from the {source}"
 
 
-Tag = Annotated[int | None, typer.Option("--tag", min=0, metavar="ID")]
-GoalAngle = Annotated[float | None, typer.Option("--goal-angle-deg", metavar="DEG")]
-
-
 def reach(
-    model: common.Model,
+    model: Path,
     *,
-    goal: common.Goal,
-    push_at: common.PushAt = 1.0,
-    point: common.Point = 1.0,
-    tag: Tag = None,
-    goal_angle: GoalAngle = None,
+    goal: tuple[float, float],
+    push_at: float = 1.0,
+    point: float = 1.0,
+    tag: int | None = None,
+    goal_angle: float | None = None,
     settings: ReachSettings,
     where: SetUpOptions,
-    gravity: common.Gravity = (0.0, 0.0),
+    gravity: tuple[float, float] = (0.0, 0.0),
     told: common.Saved,
 ) -> None:
     stored = read_trusted(model)
@@ -186,12 +181,6 @@ def _path_sureness(sure: PathSpread | None) -> str:
     return f"{most} at worst, at {sure.time[worst]:.3g} s (2 sd, from the band on k(s))"
 
 
-TargetsFile = Annotated[Path, typer.Option("--targets", metavar="CSV")]
-GoalsFile = Annotated[Path, typer.Option("--goals", metavar="CSV")]
-BetweenGoals = Annotated[Literal["force", "smooth", "monotone", "linear"] | None, typer.Option("--between")]
-FrameName = Annotated[str, typer.Option("--frame", metavar="NAME")]
-
-
 @dataclass(frozen=True)
 class Hands:
     """Pushes and grip of a command."""
@@ -219,13 +208,13 @@ FAR = 0.5  # of the length, RMS: a useless shape
 
 
 def shape(
-    model: common.Model,
+    model: Path,
     *,
-    targets: TargetsFile,
+    targets: Path,
     hands: Hands,
     settings: ShapeSettings,
     where: SetUpOptions,
-    gravity: common.Gravity = (0.0, 0.0),
+    gravity: tuple[float, float] = (0.0, 0.0),
     told: common.Saved,
 ) -> None:
     stored = read_trusted(model)
@@ -260,17 +249,17 @@ def shape(
 
 
 def path(
-    model: common.Model,
+    model: Path,
     *,
-    goals: GoalsFile,
-    point: common.Point = 1.0,
-    tag: Tag = None,
+    goals: Path,
+    point: float = 1.0,
+    tag: int | None = None,
     hands: Hands,
     settings: PathSettings,
     where: SetUpOptions,
-    between: BetweenGoals = None,
-    gravity: common.Gravity = (0.0, 0.0),
-    frame: FrameName = trajectory_files.FRAME,
+    between: Literal["force", "smooth", "monotone", "linear"] | None = None,
+    gravity: tuple[float, float] = (0.0, 0.0),
+    frame: str = trajectory_files.FRAME,
     told: common.Saved,
 ) -> None:
     stored = read_trusted(model)

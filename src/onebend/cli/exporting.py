@@ -3,41 +3,29 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from onebend.cli import common
 from onebend.cli.models import read_trusted
 from onebend.errors import ExportError
-from onebend.export.export import KINDS, MOST_SAMPLES, TABLES, Kind, export, without
+from onebend.export.export import KINDS, TABLES, Kind, export, without
 from onebend.export.sample import RodSample, drawn
 from onebend.files.publish import SUMMARY
 from onebend.files.single_file import write_files
 from onebend.results.model import StoredModel, model_file, sample_of_model
 from onebend.text_files import read_json
 
-ExportTo = Annotated[Kind, typer.Option("--to")]
-OutFile = Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE")]
-Hinges = Annotated[int | None, typer.Option(min=2, max=10_000, metavar="N")]
-Samples = Annotated[int | None, typer.Option(min=1, max=MOST_SAMPLES, metavar="N")]
-Seed = Annotated[int, typer.Option(min=0, metavar="S")]
-MassKg = Annotated[float | None, typer.Option("--mass-kg", metavar="KG")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", "--force")]
-DampingTime = Annotated[float | None, typer.Option("--damping-time-s", metavar="SECONDS")]
-
 
 def export_command(
-    model: common.Model,
+    model: Path,
     *,
-    to: ExportTo,
-    output: OutFile = None,
-    hinges: Hinges = None,
-    mass: MassKg = None,
-    damping_time: DampingTime = None,
-    samples: Samples = None,
-    seed: Seed = 0,
-    overwrite: Overwrite = False,
+    to: Kind,
+    output: Path | None = None,
+    hinges: int | None = None,
+    mass: float | None = None,
+    damping_time: float | None = None,
+    samples: int | None = None,
+    seed: int = 0,
+    overwrite: bool = False,
 ) -> None:
     stored = read_trusted(model)
     path = output or Path(f"beam{KINDS[to].suffix}")

@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
-import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -37,22 +36,15 @@ from onebend.results.observations_file import observations_beside
 from onebend.results.provenance import inputs_of, recording_files
 from onebend.results.sensing import SENSE_FORMAT, sense_summary, write_forces
 
-ModelFile = Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE")]
-
-
-Swinging = Annotated[Path, typer.Argument(metavar="REC")]
 Watched = Annotated[ObserveSettings, Only(("threads",))]
-FASTEST = 1e5  # largest factor of slow motion
-Slowed = Annotated[float, typer.Option("--slowed", min=common.LEAST, max=FASTEST, metavar="TIMES")]
-MostModes = Annotated[int, typer.Option("--modes", min=1, max=8, metavar="N")]
 
 
 def frequencies(
-    source: Swinging,
+    source: Path,
     *,
     part: swing.FilmPart,
-    slowed: Slowed = 1.0,
-    most: MostModes = 4,
+    slowed: float = 1.0,
+    most: int = 4,
     observing: Watched,
     told: common.Told,
 ) -> None:
@@ -65,12 +57,12 @@ def frequencies(
 
 
 def damp(
-    model: common.Model,
-    recording: common.Recording,
+    model: Path,
+    recording: Path,
     *,
     part: swing.FilmPart,
     settings: swing.DampingSettings,
-    output: ModelFile = None,
+    output: Path | None = None,
     observing: Watched,
     told: common.OwnOutput,
 ) -> None:
@@ -90,8 +82,8 @@ def damp(
 
 
 def sense(
-    model: common.Model,
-    recording: common.Recording,
+    model: Path,
+    recording: Path,
     *,
     settings: SenseSettings,
     where: SetUpOptions,
@@ -148,22 +140,18 @@ def show_plan(console: Console, plan: design.Plan) -> None:
         console.print(f"[yellow]![/] {escape(reason)}")
 
 
-Recordings = Annotated[list[Path], typer.Argument(metavar="REC...")]
-ValidateOn = Annotated[list[Path] | None, typer.Option("--validate", metavar="REC")]
-Method = Annotated[Literal["fit", "regression", "paper"], typer.Option()]
 Observing = Annotated[ObserveSettings, Only(("threads", "epsilon"))]
-NoReport = Annotated[bool, typer.Option("--no-report")]
 
 
 def learn(
-    recordings: Recordings,
+    recordings: list[Path],
     *,
-    validate_on: ValidateOn = None,
-    method: Method = "fit",
+    validate_on: list[Path] | None = None,
+    method: Literal["fit", "regression", "paper"] = "fit",
     settings: paper.RegressionSettings,
     fitting: optimizer.FitSettings,
     observing: Observing,
-    no_report: NoReport = False,
+    no_report: bool = False,
     told: common.AnswerOptions,
 ) -> None:
     out = told.output or Path(f"{folder_of(recordings[0]).resolve().name}-results")
@@ -213,8 +201,8 @@ def draw_all(run: Run, *, frames: KeptFrames, progress: Progress) -> Pictures:
 
 
 def validate(
-    model: common.Model,
-    recordings: Recordings,
+    model: Path,
+    recordings: list[Path],
     *,
     where: SetUpOptions,
     observing: Observing,
@@ -247,7 +235,7 @@ def validate(
     common.answer(told, summary, lambda console: show_validation(console, pairs, told.output))
 
 
-def plan(model: common.Model, *, settings: design.PlanSettings, told: common.Told) -> None:
+def plan(model: Path, *, settings: design.PlanSettings, told: common.Told) -> None:
     with common.progress_of(told) as progress:
         read_trusted(model)  # warns of doubts
         found = plan_next(model, settings=settings, progress=progress)

@@ -21,7 +21,7 @@ from onebend.results.model import StoredModel, model_file, model_summary, read_m
 HEAVY = 100.0  # m/s^2: more is another unit
 
 
-def show(model: common.Model, *, told: common.Said) -> None:
+def show(model: Path, *, told: common.Said) -> None:
     # here: other commands do without
     from onebend.cli.screens import show_model
 

@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, get_args
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 import typer
@@ -82,20 +82,8 @@ def show_overview(console: Console, overview: Overview) -> None:
         console.print(common.remarks_list([(overview.name, remark) for remark in overview.remarks]))
 
 
-Folder = Annotated[Path, typer.Argument(metavar="DIR")]
-BagPath = Annotated[Path, typer.Argument(metavar="BAG")]
-Picture = Annotated[Path, typer.Option("--output", "-o", metavar="PNG")]
-
 PICTURE = "check.png"
 
-VideoKind = Annotated[bool, typer.Option("--video")]
-RosKind = Annotated[Path | None, typer.Option("--ros", metavar="BAG")]
-PhotoKind = Annotated[bool, typer.Option("--photo")]
-PhotosKind = Annotated[bool, typer.Option("--photos")]
-WeightsKind = Annotated[bool, typer.Option("--weights")]
-MocapKind = Annotated[bool, typer.Option("--mocap")]
-AllKeys = Annotated[bool, typer.Option("--all")]
-Yes = Annotated[bool, typer.Option("--yes", "-y")]
 BESIDE: dict[Kind, str] = {
     "video": "put the video and the force log beside it",
     "ros": "leave the bag where it is",
@@ -113,16 +101,16 @@ TO_ADD = (
 
 
 def new(
-    folder: Folder,
+    folder: Path,
     *,
-    video: VideoKind = False,
-    ros: RosKind = None,
-    photo: PhotoKind = False,
-    photos: PhotosKind = False,
-    weights: WeightsKind = False,
-    mocap: MocapKind = False,
-    everything: AllKeys = False,
-    yes: Yes = False,
+    video: bool = False,
+    ros: Path | None = None,
+    photo: bool = False,
+    photos: bool = False,
+    weights: bool = False,
+    mocap: bool = False,
+    everything: bool = False,
+    yes: bool = False,
 ) -> None:
     asked: dict[Kind, bool] = {
         "video": video, "ros": ros is not None, "photo": photo, "photos": photos, "weights": weights, "mocap": mocap
@@ -189,9 +177,9 @@ def quoted(text: str) -> str:
 
 
 def check(
-    recording: common.Recording,
+    recording: Path,
     *,
-    output: Picture = Path(PICTURE),
+    output: Path = Path(PICTURE),
     told: common.OwnFiles,
 ) -> None:
     from onebend.report.overview import SOFTWARE, overview  # here: `new` and `topics` read no films
@@ -215,7 +203,7 @@ def check(
         raise ObservationError("\n".join(found.faults))
 
 
-def topics(bag: BagPath, *, told: common.Said) -> None:
+def topics(bag: Path, *, told: common.Said) -> None:
     found = bag_contents(bag)
     if told.as_json:
         common.print_json(as_data(found))
@@ -261,28 +249,19 @@ def show_calibration(console: Console, calibration: Calibration, out: Path) -> N
     typer.echo(calibration.camera_table())
 
 
-Film = Annotated[Path, typer.Argument(metavar="VIDEO")]
-BoardOption = Annotated[tuple[str, str], typer.Option("--board", metavar="KIND SIZE")]
-SquareMm = Annotated[float, typer.Option("--square-mm", metavar="MM")]
-MarkerMm = Annotated[float | None, typer.Option("--marker-mm", metavar="MM")]
-Dictionary = Annotated[str, typer.Option(metavar="NAME")]
-ImageTopic = Annotated[str, typer.Option("--topic", metavar="NAME")]
-MostViews = Annotated[int, typer.Option("--views", min=4, metavar="N")]
-CameraFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE")]
-
 CALIBRATE_FORMAT = "onebend-calibrate-1"
 
 
 def calibrate(
-    video: Film,
+    video: Path,
     *,
-    board: BoardOption,
-    square: SquareMm,
-    marker: MarkerMm = None,
-    dictionary: Dictionary = "5x5_100",
-    topic: ImageTopic = "",
-    views: MostViews = 30,
-    output: CameraFile = Path("camera.toml"),
+    board: tuple[str, str],
+    square: float,
+    marker: float | None = None,
+    dictionary: str = "5x5_100",
+    topic: str = "",
+    views: int = 30,
+    output: Path = Path("camera.toml"),
     told: common.OwnOutput,
 ) -> None:
     wanted = _board(board, square, marker, dictionary)

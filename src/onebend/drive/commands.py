@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
 from types import SimpleNamespace
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-import typer
 from rich.console import Group, RenderableType
 from rich.text import Text
 
@@ -32,10 +31,6 @@ from onebend.progress import Progress, Silent
 from onebend.recording.entries import Recording
 from onebend.recording.folder import FILE_NAME, folder_of, read_recording
 
-Out = Annotated[Path, typer.Argument(metavar="DIR")]
-Goal = Annotated[tuple[float, float] | None, typer.Option("--goal", metavar="X Y")]
-Replace = Annotated[bool, typer.Option("--overwrite")]
-
 
 @dataclass(frozen=True)
 class DriveOptions:
@@ -53,8 +48,8 @@ class DriveOptions:
 
 
 def drive(
-    model: common.Model, folder: Out, *, goal: Goal = None, asked: DriveOptions, point: common.Point = 1.0,
-    push_at: common.PushAt = 1.0, settings: DriveSettings, overwrite: Replace = False, told: common.Told,
+    model: Path, folder: Path, *, goal: tuple[float, float] | None = None, asked: DriveOptions, point: float = 1.0,
+    push_at: float = 1.0, settings: DriveSettings, overwrite: bool = False, told: common.Told,
 ) -> None:  # fmt: skip
     """Bend a learned beam to a goal with a robot and a camera: a plan first, and with --go the real loop, recorded."""
     told = replace(told, quiet=told.quiet or told.as_json)

@@ -173,23 +173,22 @@ class DelayMeter:
     the least rest.
     """
 
-    def __init__(self, first: float, *, longest: float = 0.4, span: float = 2.5) -> None:
-        """`first` [s]: what is taken until it is known; nothing beyond `longest` is looked for."""
+    def __init__(self, first: float) -> None:
+        """`first` [s]: what is taken until it is known."""
         self.delay, self.sd = first, math.inf
-        self._longest, self._span = longest, span
         self._told: deque[tuple[float, float, float]] = deque()
         self._shown: deque[tuple[float, float, float]] = deque()
 
     def told(self, now: float, place: Array) -> None:
         """The commanded place (2,) m of the tool, from `now` on."""
         self._told.append((now, float(place[0]), float(place[1])))
-        while self._told[0][0] < now - self._span - self._longest:
+        while self._told[0][0] < now - _SPAN - _LONGEST:
             self._told.popleft()
 
     def shown(self, now: float, place: Array, noise: float) -> None:
         """The point's place (2,) m in a picture that is used now; measures anew where there was motion enough."""
         self._shown.append((now, float(place[0]), float(place[1])))
-        while self._shown[0][0] < now - self._span:
+        while self._shown[0][0] < now - _SPAN:
             self._shown.popleft()
         if len(self._shown) >= _FEWEST and len(self._shown) % _EVERY == 0:
             self._measure(noise)
@@ -202,13 +201,13 @@ class DelayMeter:
 
     def _measure(self, noise: float) -> None:
         told, shown = np.array(self._told), np.array(self._shown)
-        shown = shown[shown[:, 0] > told[0, 0] + self._longest]
+        shown = shown[shown[:, 0] > told[0, 0] + _LONGEST]
         if len(shown) < _FEWEST:
             return
         along, y = _main_way(told[:, 1:]), _main_way(shown[:, 1:])
         if min(np.ptp(along), np.ptp(y)) < _LEAST_WAY:
             return
-        tries = np.arange(0.0, self._longest, _STEP)
+        tries = np.arange(0.0, _LONGEST, _STEP)
         rest = np.array([_rest_of(y, np.interp(shown[:, 0] - delay, told[:, 0], along)) for delay in tries])
         best = int(np.argmin(rest))
         if not 0 < best < len(tries) - 1:
@@ -223,6 +222,7 @@ class DelayMeter:
             self.delay, self.sd = float(tries[best] - slope / curve), max(sd, _LEAST_SD)
 
 
+_LONGEST, _SPAN = 0.4, 2.5  # s: nothing beyond is looked for; of the motion that tells
 _FEWEST, _EVERY = 15, 3  # pictures; how often it is measured
 _LEAST_WAY = 0.004  # m
 _STEP, _LEAST_SD = 0.004, 5e-4  # s

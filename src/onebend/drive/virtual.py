@@ -13,6 +13,7 @@ import time as host
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any
@@ -63,8 +64,8 @@ class VirtualCell:
 
     eye: type[bench_camera.BenchCamera] = bench_camera.BenchCamera
 
-    def __init__(self, setup: VirtualSetup, begin: float = 0.0, *, draws: bool = True) -> None:
-        """At rest at `begin` [s], the hand on the beam without pushing; `draws`: False: pictures are empty."""
+    def __init__(self, setup: VirtualSetup, begin: float = 0.0) -> None:
+        """At rest at `begin` [s], the hand on the beam without pushing."""
         self.setup, self.time = setup, begin
         self.slipped = False  # the beam has jumped off the hand
         bench, rec = setup.bench, setup.rec
@@ -91,9 +92,7 @@ class VirtualCell:
         self._next = begin
         self.frames: deque[tuple[float, float, Callable[[], Picture]]] = deque()  # due, exposed, drawn when taken
         self._exposed = begin  # s, of the next picture
-        self._camera = None
-        if draws:
-            self._camera = self.eye(bench, rec, noise=setup.noise, sees=setup.sees, seed=setup.seed)
+        self._camera = self.eye(bench, rec, noise=setup.noise, sees=setup.sees, seed=setup.seed)
         self.largest = 0.0  # N on the beam so far
 
     def advance(self, until: float) -> None:
@@ -232,11 +231,8 @@ class VirtualCell:
         """A picture is taken now, and drawn when it is fetched."""
         self._exposed += 1.0 / self.setup.fps
         shown, force = self.poses[self._shown].copy(), self.wrench[:2].copy()
-        time, eye = self.time, self._camera
-        draw: Callable[[], Picture] = (
-            (lambda: _blank(self.setup)) if eye is None else (lambda: eye.picture(shown, force, time))
-        )
-        self.frames.append((time + self.setup.delay, time, draw))
+        draw = partial(self._camera.picture, shown, force, self.time)
+        self.frames.append((self.time + self.setup.delay, self.time, draw))
 
 
 _MOST_TRIES, _ANEW = 12, (4, 8)  # turns of Newton's method, and those before which its matrix is made anew
@@ -245,12 +241,6 @@ _CLOSE = 1e-6  # m, rad
 
 def _nothing(time: Array) -> Array:
     return np.zeros((len(time), 2))
-
-
-def _blank(setup: VirtualSetup) -> Picture:
-    camera = setup.rec.camera
-    assert camera is not None
-    return np.zeros((camera.height, camera.width), np.uint8)
 
 
 # In real time, in a process of its own.

@@ -20,7 +20,6 @@ from onebend.progress import one_blas_thread
 from onebend.records import Array
 
 TABLE_PLACES = 201
-MOST_SAMPLES = 10_000
 
 
 def columns(rod: RodSample, samples: tuple[RodSample, ...] = ()) -> dict[str, Array]:

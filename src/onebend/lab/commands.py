@@ -6,10 +6,9 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -29,49 +28,38 @@ from onebend.recording.folder import read_recording
 from onebend.report.sentences import say, significant, worded
 from onebend.results.model import StoredModel, model_text
 
-Design = Annotated[str, typer.Argument(metavar="DESIGN")]
-FilmFolder = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT")]
-
-
-@dataclass(frozen=True)
-class FilmOptions:
-    """What a film shows beside the push."""
-
-    effects: bool = option("--effects", False)
-    markers: bool = option("--markers", False)
-    seed: int = option("--seed", 0, metavar="N", within=(0, None))
-
-
 FILM_FORMAT, DESIGN_FORMAT, TAGS_FORMAT = "onebend-film-1", "onebend-design-1", "onebend-tags-1"
 DRAWN = "random"
 
 
 def film(
-    design: Design,
+    design: str,
     *,
-    output: FilmFolder = None,
+    output: Path | None = None,
     request: FilmRequest,
-    asked: FilmOptions,
+    effects: bool = False,
+    markers: bool = False,
+    seed: int = 0,
     told: common.Told,
 ) -> None:
     with common.progress_of(told) as progress:
-        filming, folder = _filming(design, request, asked.seed, output, asked.effects)
+        filming, folder = _filming(design, request, seed, output, effects)
         check(filming, folder)
-        if asked.markers:
+        if markers:
             check_trackable(filming)
 
         def make(folder: Path) -> None:
-            if asked.markers:
-                marker_recording(filming.bench, folder, seed=asked.seed)
+            if markers:
+                marker_recording(filming.bench, folder, seed=seed)
             else:
-                make_film(filming, folder, seed=asked.seed, progress=progress)
+                make_film(filming, folder, seed=seed, progress=progress)
 
         with workplace(folder, FILM_FORMAT, overwrite=False) as place:
             common.put_in_place(place, make)
     bench = filming.bench
     if told.as_json:
         data = {"length_m": bench.beam.length, "force_max_N": bench.push.peak, "video_seconds": bench.push.duration}
-        common.print_json(headed(FILM_FORMAT, output=str(folder), seed=asked.seed, **data))
+        common.print_json(headed(FILM_FORMAT, output=str(folder), seed=seed, **data))
         return
     common.say(
         f"Wrote {folder}: {bench.push.duration:.1f} s at {bench.fps:g} frames/s, a push to {bench.push.peak:.3g} N at "
@@ -135,13 +123,6 @@ def bends_table(expected: designs.Expected) -> Table:
     return table
 
 
-DesignName = Annotated[str | None, typer.Argument(metavar="DESIGN")]
-NewDesign = Annotated[Path | None, typer.Option("--new", metavar="FILE")]
-DesignModel = Annotated[Path | None, typer.Option("--model", metavar="FILE")]
-StripOf = Annotated[Path | None, typer.Argument(metavar="[REC]")]
-SheetFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE")]
-
-
 @dataclass(frozen=True)
 class TagOptions:
     """The tags of a sheet, and how it looks."""
@@ -158,10 +139,10 @@ RANGE = re.compile(r"(\d{1,6})(?:-(\d{1,6}))?")
 
 
 def design(
-    name: DesignName = None,
+    name: str | None = None,
     *,
-    new: NewDesign = None,
-    model: DesignModel = None,
+    new: Path | None = None,
+    model: Path | None = None,
     told: common.OwnFiles,
 ) -> None:
     if new is not None:
@@ -178,9 +159,9 @@ def design(
 
 
 def tags(
-    recording: StripOf = None,
+    recording: Path | None = None,
     *,
-    output: SheetFile,
+    output: Path,
     asked: TagOptions,
     told: common.OwnFiles,
 ) -> None:

@@ -125,7 +125,6 @@ class Filming:
     log_rotation: float = 0.0  # rad, the log's x axis from the beam's
     log_of_robot: bool = False  # the log shows the reaction
     sensor_name: str = ""
-    zeroed: bool = False
     calibrated: bool = True  # whether the calibration is given
     mass_told: bool = True
     lost: float = 0.0  # share of dropped frames
@@ -749,7 +748,6 @@ def entries(filming: Filming, folder: Path) -> Recording:
             rotation=filming.log_rotation,
             acts_on="robot" if filming.log_of_robot else "beam",
             sensor=filming.sensor_name,
-            zeroed=filming.zeroed,
             gain_sd=told.force.gain_sd,
         ),
         gravity=GravityEntry(direction=DOWN, magnitude=filming.gravity, base_angle=filming.base_angle)

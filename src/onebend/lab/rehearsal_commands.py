@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -45,12 +44,12 @@ class SimulatedLoop:
 
 
 def loop(
-    model: common.Model,
+    model: Path,
     *,
-    goal: common.Goal,
-    push_at: common.PushAt = 1.0,
-    point: common.Point = 1.0,
-    gravity: common.Gravity = (0.0, 0.0),
+    goal: tuple[float, float],
+    push_at: float = 1.0,
+    point: float = 1.0,
+    gravity: tuple[float, float] = (0.0, 0.0),
     camera: loop_simulation.LoopCamera,
     asked: SimulatedLoop,
     where: SetUpOptions,
@@ -142,8 +141,6 @@ def _percent(log_error: float) -> str:
 
 SHARED = Only(("push", "bend", "seconds", "camera", "fps", "tilt", "distance", "sensor"))  # shared by all pushes
 
-Rehearsed = Annotated[str, typer.Argument(metavar="DESIGN")]
-
 
 @dataclass(frozen=True)
 class RehearseOptions:
@@ -157,7 +154,7 @@ class RehearseOptions:
 
 
 def rehearse(
-    design: Rehearsed,
+    design: str,
     *,
     asked: RehearseOptions,
     push: Annotated[FilmRequest, SHARED],

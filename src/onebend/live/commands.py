@@ -11,7 +11,6 @@ from threading import Event
 from typing import Annotated, Generic, Self, TypeVar
 
 import numpy as np
-import typer
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.table import Table
@@ -121,9 +120,6 @@ def recording_rows(state: CaptureState) -> list[tuple[str, str]]:
     return rows
 
 
-RecordFolder = Annotated[Path, typer.Argument(metavar="DIR")]
-
-
 @dataclass(frozen=True)
 class RecordOptions:
     """Which camera and sensor record, or what is played in their place."""
@@ -140,7 +136,7 @@ Capture = Annotated[CaptureSettings, Only(("begin_at_once", "follow", "longest",
 
 
 def record(
-    folder: RecordFolder,
+    folder: Path,
     *,
     asked: RecordOptions,
     settings: Capture,

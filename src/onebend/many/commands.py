@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import typer
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -19,7 +16,6 @@ from onebend.files.publish import workplace
 from onebend.many import batch as batches, population_report
 from onebend.many.batch import BatchOutcome, run_batch
 from onebend.many.population import TABLES, read_batch
-from onebend.options import option
 from onebend.report.sentences import significant
 from onebend.results.provenance import inputs_of
 from onebend.text_files import one_line
@@ -86,41 +82,26 @@ def show_population(console: Console, outcome: population_report.PopulationOutco
     console.print(f"Wrote {output / 'report.html'}", markup=False)
 
 
-Source = Annotated[Path, typer.Argument(metavar="FOLDER|LIST.csv")]
-Results = Annotated[Path, typer.Option("--output", "-o", metavar="RESULTS")]
-
-
-@dataclass(frozen=True)
-class BatchOptions:
-    """Who learns, and what is written."""
-
-    workers: int | None = option("--workers", None, metavar="N", within=(1, None))
-    scheduler: str | None = option("--scheduler", None, metavar="ADDRESS")
-    folders: bool = option("--folders", False)
-
-
 def batch(
-    source: Source,
+    source: Path,
     *,
-    output: Results,
-    asked: BatchOptions,
+    output: Path,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    folders: bool = False,
     told: common.Told,
 ) -> None:
     with common.progress_of(told) as progress:
-        outcome = run_batch(source, output, **vars(asked), progress=progress)
+        outcome = run_batch(source, output, workers=workers, scheduler=scheduler, folders=folders, progress=progress)
     summary = batches.summary_of(outcome)
     batches.write_batch(outcome, summary)
     common.answer(told, summary, lambda console: show_batch(console, outcome), output)
 
 
-Batch = Annotated[Path, typer.Argument(metavar="RESULTS")]
-PopulationOut = Annotated[Path, typer.Option("--output", "-o", metavar="OUT")]
-
-
 def population(
-    results: Batch,
+    results: Path,
     *,
-    output: PopulationOut,
+    output: Path,
     setting: population_report.PopulationSettings,
     told: common.OwnOutput,
 ) -> None:

@@ -4,21 +4,14 @@ import webbrowser
 from contextlib import suppress
 from pathlib import Path
 from threading import Thread
-from typing import Annotated
-
-import typer
 
 from onebend.cli.common import say
 from onebend.extras import require
 
-Folder = Annotated[Path, typer.Argument(metavar="DIR")]
-Port = Annotated[int, typer.Option(min=0, max=65535, metavar="N")]
-NoOpen = Annotated[bool, typer.Option("--no-open")]
-
 NEEDED = ("starlette", "uvicorn", "websockets")
 
 
-def studio(folder: Folder = Path(), *, port: Port = 0, no_open: NoOpen = False) -> None:
+def studio(folder: Path = Path(), *, port: int = 0, no_open: bool = False) -> None:
     require(NEEDED, "studio")
     from onebend.studio.server import serve  # here: an optional part
 
