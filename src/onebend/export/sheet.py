@@ -6,6 +6,7 @@ import io
 import math
 import textwrap
 import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -95,28 +96,35 @@ def _facts(rod: RodSample) -> list[tuple[str, str]]:
 
 def _draw_stiffness(axes: Axes, rod: RodSample) -> None:
     length = rod.beam.length
+    edges: tuple[Array, Array] | None = None
     if rod.uncertain is not None:
         band = rod.uncertain.band(_LINE)
-        axes.fill_between(1e3 * length * _LINE, length * band.low, length * band.high, color=BLUE, alpha=0.2, lw=0)
+        edges = length * band.low, length * band.high
         unknown = np.where(band.identified, np.nan, length * band.k)
         axes.plot(1e3 * length * _LINE, unknown, color=ORANGE, lw=4, alpha=0.6, label="not identified by the data")
         if not np.all(band.identified):
             axes.legend(loc="upper center")
-    axes.plot(1e3 * length * _LINE, length * rod.stiffness(_LINE), color=BLUE)
-    band_said = ", with its 95 % band" if rod.uncertain is not None else " (no band was learned)"
-    axes.set(title=f"EI(s) [N m²]{band_said}", xlabel="from the clamp [mm]", xlim=(0.0, 1e3 * length))
-    axes.set_ylim(0.0, _top(length * rod.stiffness(_LINE), axes.get_ylim()[1]))
+    said = ", with its 95 % band" if rod.uncertain is not None else " (no band was learned)"
+    _draw_along(axes, length, f"EI(s) [N m²]{said}", BLUE, length * rod.stiffness(_LINE), edges)
 
 
 def _draw_modulus(axes: Axes, rod: RodSample) -> None:
     assert rod.section is not None
-    length = rod.beam.length
-    found = modulus_band(rod.uncertain or rod.beam.stiffness, length, rod.section, _LINE)
-    axes.fill_between(1e3 * length * _LINE, 1e-6 * found.low, 1e-6 * found.high, color=ORANGE, alpha=0.2, lw=0)
-    axes.plot(1e3 * length * _LINE, 1e-6 * found.modulus, color=ORANGE)
-    axes.set(title="Young's modulus E(s) [MPa], from the stated section", xlabel="from the clamp [mm]")
-    axes.set_xlim(0.0, 1e3 * length)
-    axes.set_ylim(0.0, _top(1e-6 * found.modulus, axes.get_ylim()[1]))
+    found = modulus_band(rod.uncertain or rod.beam.stiffness, rod.beam.length, rod.section, _LINE)
+    values, *edges = (1e-6 * one for one in (found.modulus, found.low, found.high))
+    _draw_along(axes, rod.beam.length, "Young's modulus E(s) [MPa], from the stated section", ORANGE, values, edges)
+
+
+def _draw_along(
+    axes: Axes, length: float, title: str, colour: str, values: Array, edges: Sequence[Array] | None
+) -> None:
+    """Values along the beam with their band, if any. The axis shows all of it, up to three times the largest value."""
+    places = 1e3 * length * _LINE
+    if edges is not None:
+        axes.fill_between(places, *edges, color=colour, alpha=0.2, lw=0)
+    axes.plot(places, values, color=colour)
+    axes.set(title=title, xlabel="from the clamp [mm]", xlim=(0.0, 1e3 * length))
+    axes.set_ylim(0.0, min(axes.get_ylim()[1], 3.0 * float(np.nanmax(values))))
 
 
 def _draw_shapes(axes: Axes, rod: RodSample) -> None:
@@ -156,11 +164,6 @@ def _draw_table(axes: Axes, rod: RodSample) -> None:
     table.set_fontsize(8)
     for cell in table.get_celld().values():
         cell.set_edgecolor(FAINT)
-
-
-def _top(middle: Array, edge: float) -> float:
-    """Of an axis: all of the band, but not more than three times the largest value."""
-    return min(edge, 3.0 * float(np.nanmax(middle)))
 
 
 def _digits(value: float) -> str:

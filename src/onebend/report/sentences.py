@@ -30,18 +30,17 @@ Kind = Literal["film", "tracks", "photos", "poses", "frequencies"]
 class KindWords:
     """Words for one kind of recording."""
 
-    kind: Kind
     frames: str  # several of its instants
     under: str  # loads of the uncorrected simulation
     inputs: str  # heading of the inputs
 
 
 WORDS: dict[Kind, KindWords] = {
-    "film": KindWords("film", "frames", "under the force as logged", "Force and clock"),
-    "tracks": KindWords("tracks", "frames", "under the force as logged", "Force and clock"),
-    "photos": KindWords("photos", "photos", "under the loads as written", "Loads and photos"),
-    "poses": KindWords("poses", "poses", "under the loads as written", "Loads and points"),
-    "frequencies": KindWords("frequencies", "frequencies", "as it swings", "Frequencies"),
+    "film": KindWords("frames", "under the force as logged", "Force and clock"),
+    "tracks": KindWords("frames", "under the force as logged", "Force and clock"),
+    "photos": KindWords("photos", "under the loads as written", "Loads and photos"),
+    "poses": KindWords("poses", "under the loads as written", "Loads and points"),
+    "frequencies": KindWords("frequencies", "as it swings", "Frequencies"),
 }
 
 

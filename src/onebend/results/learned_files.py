@@ -237,55 +237,40 @@ def _fit(posterior: Posterior) -> dict[str, Any]:
 
 
 def _regression(learned: Learned) -> dict[str, Any]:
+    trial = learned.trials[learned.chosen]
     return {
         "method": learned.method,
         "family": learned.family,
-        "chosen": _trial(learned, learned.chosen),
+        "chosen": {
+            "n": trial.n,
+            "m": trial.m,
+            "coefficients_N_m": trial.coefficients,
+            "rms_m": trial.rms,
+            "bic": trial.bic,
+            "lowest_k_N_m": trial.lowest_k,
+            "condition": trial.condition,
+            "why_out": trial.why_out,
+        },
         "trials": len(learned.trials),
         "stiffness": stiffness_summary(learned.beam, None),
         "training": comparison_summary(learned.training),
     }
 
 
-def _observed(observations: Observations) -> dict[str, Any]:
+def _observed(observed: Observations) -> dict[str, Any]:
+    clean, clock = observed.source.clean_force, observed.source.clock
     return {
-        "recording": observations.source.name,
-        "frames": {"all": len(observations.time), "loaded": int(observations.loaded.sum())},
-        "force": _force(observations),
-        "clock": _clock(observations),
-    }
-
-
-def _trial(learned: Learned, index: int) -> dict[str, Any]:
-    trial = learned.trials[index]
-    return {
-        "n": trial.n,
-        "m": trial.m,
-        "coefficients_N_m": trial.coefficients,
-        "rms_m": trial.rms,
-        "bic": trial.bic,
-        "lowest_k_N_m": trial.lowest_k,
-        "condition": trial.condition,
-        "why_out": trial.why_out,
-    }
-
-
-def _force(observed: Observations) -> dict[str, Any] | None:
-    clean = observed.source.clean_force
-    if clean is None:
-        return None
-    return {
-        "largest_N": float(np.max(np.linalg.norm(observed.force[observed.loaded], axis=1), initial=0.0)),
-        "noise_sd_N": clean.noise_sd,
-        "tare_N": clean.tare,
-        "drift_N_s": clean.drift,
-        "cutoff_Hz": clean.cutoff,
-        "outliers": clean.outliers,
-    }
-
-
-def _clock(observed: Observations) -> dict[str, Any] | None:
-    clock = observed.source.clock
-    if clock is None:
-        return None
-    return {"offset_s": clock.offset, "sd_s": clock.sd, "stated_s": clock.stated, "found": clock.found}
+        "recording": observed.source.name,
+        "frames": {"all": len(observed.time), "loaded": int(observed.loaded.sum())},
+        "force": None if clean is None else {
+            "largest_N": float(np.max(np.linalg.norm(observed.force[observed.loaded], axis=1), initial=0.0)),
+            "noise_sd_N": clean.noise_sd,
+            "tare_N": clean.tare,
+            "drift_N_s": clean.drift,
+            "cutoff_Hz": clean.cutoff,
+            "outliers": clean.outliers,
+        },
+        "clock": None if clock is None else {
+            "offset_s": clock.offset, "sd_s": clock.sd, "stated_s": clock.stated, "found": clock.found
+        },
+    }  # fmt: skip
