@@ -44,7 +44,7 @@ def follow(live: Live, arrivals: Iterable[Arrival], *, at_pace: bool = False) ->
         if arrival.picture is None:
             live.force(arrival.stamp, arrival.rows[:, :2], arrival.rows[:, 2] if arrival.rows.shape[1] > 2 else None)
         else:
-            live.frame(arrival.picture, float(arrival.stamp))
+            live.frame(arrival.picture, float(arrival.stamp), arrival.colour)
         cost = clock.thread_time() - live.review_seconds - begun
         now = clock.perf_counter() - zero if at_pace else max(now, arrival.at) + cost
         if arrival.picture is None:

@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any, Literal, Self
@@ -335,7 +336,7 @@ class Live:
         Args:
             image: (H, W) grey, 8 bit; None where a picture was lost.
             time: s, the camera's own clock. Pictures may be late by some frames.
-            colour: the same picture as `av.VideoFrame`. The outline of a body without tags is searched in its colours.
+            colour: the same picture as `av.VideoFrame`. The body's outline is searched in its colours.
 
         Raises:
             ObservationError: after `finish` or `close`.
@@ -350,12 +351,12 @@ class Live:
         if seen is None:
             self._counts = replace(self._counts, refused_frames=self._counts.refused_frames + 1)
         else:
-            self.tracked(seen, image)
+            self.tracked(seen, image, colour)
         return seen
 
     @one_blas_thread
-    def tracked(self, seen: TrackedFrame, image: Picture | None = None) -> None:
-        """The tags of one picture, where a `Tracker` elsewhere found them.
+    def tracked(self, seen: TrackedFrame, image: Picture | None = None, colour: Any = None) -> None:
+        """The tags of one picture, where a `Tracker` elsewhere found them; picture and colour as of `frame`.
 
         Raises:
             ObservationError: after `finish` or `close`.
@@ -370,7 +371,7 @@ class Live:
         counts = self._counts
         self._counts = replace(counts, frames=counts.frames + 1, late_frames=counts.late_frames + late)
         if image is not None and not late:
-            self._pictures.add(own.time, image, own.corners)
+            self._pictures.add(own.time, own.corners, partial(body.planes_in, self.recording, image, colour))
         self._frames.add(own)
         if not late:
             self._newest = seen
@@ -471,7 +472,7 @@ class Live:
         if not len(self._frames):
             raise ObservationError(f"{self.recording.name}: {NOTHING_YET}")
         return learn_observed(
-            review.observed_in(seen_by(self), self.settings.observing), fitting=fitting, progress=progress
+            review.observed_in(self._seen(), self.settings.observing), fitting=fitting, progress=progress
         )
 
     def close(self) -> None:
@@ -495,7 +496,7 @@ class Live:
 
     def _seen(self) -> Seen:
         outline = body.outline_in(self._frames.frames, self._tracker.follower)
-        return Seen(self.recording, self._frames.tracks(), self._log.rows.copy(), outline)
+        return Seen(self.recording, self._frames.tracks(), self._log.rows.copy(), outline, self._pictures.by_time())
 
     def _review(self, now: float) -> None:
         """Take what a review has found; begin the next one where it is due."""
@@ -507,8 +508,3 @@ class Live:
             reviewer.begin(self._seen())
             if (at_once := reviewer.result()) is not None:
                 following.take(at_once)
-
-
-def seen_by(live: Live) -> Seen:
-    """A copy of what is kept of a stream, pictures too, for `onebend.live.review.observed_in`."""
-    return replace(live._seen(), pictures=live._pictures.by_time())
