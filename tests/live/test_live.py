@@ -141,7 +141,7 @@ def test_what_is_kept_is_bounded_however_long_it_runs() -> None:
             most = {name: max(count, most.get(name, 0)) for name, count in live.kept.items()}
     assert live.state().counts.samples == 5 * len(force.time)
     assert 0 < most.pop("pictures") <= 10
-    assert most == {"frames": 40, "rows": 200, "tracker": 8, "waiting": 4, "since": 40, "behind": 0}
+    assert most == {"frames": 40, "rows": 200, "tracker": 8, "since": 40}
 
 
 def test_what_is_not_known_yet_is_said() -> None:

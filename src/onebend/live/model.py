@@ -266,7 +266,8 @@ class Lineariser:
         self, keys: KeyFrames, push_s: float, frames: tuple[list[int], Array], point: Array
     ) -> effects.MaterialMemory:
         """Memory of the beam in the chosen frames, from the key frame before each; `frames`: these, and their shapes.
-        The first key frame and proposed averages keep theirs."""
+        What bends the beam as the push begins has done so for long; a later first one and proposed averages keep
+        theirs."""
         chosen, here = frames
         before, now = here[..., 1:], np.zeros((len(chosen), len(effects.TIMES)))
         if "relaxation" not in self._session.columns:
@@ -276,6 +277,8 @@ class Lineariser:
         centre = 0.5 * (keys.begin + keys.end)
         kept, entered, last = (w.T for w in effects.lag_weights(np.diff(centre)))
         place = {k: b for b, k in enumerate(chosen)}
+        if keys.begun and 0 in place:
+            before[place[0]], now[place[0]] = 0.0, 1.0
         for k in sorted(chosen):
             if not 0 < k < keys.used:
                 continue

@@ -551,7 +551,7 @@ def _tool_elsewhere(tool: ToolPlace, rec: Recording) -> bool:
 # show the tags where they were first, and more of all others, evenly over time and way.
 
 MOST = 4 * (LOADED + AT_REST)  # pictures: at least half as many are left where every other one has gone
-MOST_PIXELS = 150_000_000  # of all that are kept; a pixel takes 1.5 bytes as a rule
+MOST_PIXELS = 100_000_000  # of all that are kept; a pixel takes 1.5 bytes as a rule
 MOVED = 0.05  # of a tag's side: farther from where it was first, it may be pushed
 SECONDS, WAY = 0.1, 0.1  # s, and sides of a tag: so far apart are the pictures to begin with
 
