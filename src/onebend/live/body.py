@@ -56,11 +56,6 @@ class BodyTracker:
         self._rec, self._next, self._corners = rec, -np.inf, np.empty(0)
         self._tags = Tracker([tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)], rec.tags.family)
 
-    @property
-    def kept(self) -> int:
-        """As of `Tracker`."""
-        return self._tags.kept
-
     def step(self, picture: video.Picture, time: float, colour: Any = None) -> TrackedFrame:
         """As `Tracker.step`; `colour`: the same picture as `av.VideoFrame`, where there is more than grey."""
         seen = self._tags.step(picture, time)

@@ -83,10 +83,6 @@ class Following:
         self._since: list[Frame] = []  # that no review has seen
         self._ahead: deque[float] = deque(maxlen=_LATELY)  # s: of the log's newest row when a frame came, and its time
 
-    def __len__(self) -> int:
-        """Count of the frames that are kept."""
-        return len(self._since)
-
     @property
     def until(self) -> float:
         """s, the frames' clock: of the last frame learned."""
@@ -390,27 +386,6 @@ class Live:
             rows = np.column_stack([rows, np.broadcast_to(np.asarray(place, dtype=float), len(times))])
         self._log.add(rows)
         self._following.release()
-
-    @property
-    def learned_until(self) -> float:
-        """s, the camera's clock: the last frame that k(s) has in it; NaN where there is none."""
-        return self._following.until + self._begin
-
-    @property
-    def review_seconds(self) -> float:
-        """s of this process's time that reviews took so far: none where another process makes them."""
-        return self._reviewer.spent
-
-    @property
-    def kept(self) -> dict[str, int]:
-        """Counts of all that is kept of the stream; each is bounded, however long it runs."""
-        return {
-            "frames": len(self._frames),
-            "pictures": len(self._pictures),
-            "rows": len(self._log),
-            "tracker": self._tracker.kept,
-            "since": len(self._following),
-        }
 
     @one_blas_thread
     def state(self) -> LiveState:

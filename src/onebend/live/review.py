@@ -11,7 +11,6 @@ import pickle
 import subprocess
 import sys
 import threading
-import time
 import weakref
 from collections.abc import Mapping
 from contextlib import suppress
@@ -211,12 +210,10 @@ class Reviewer:
         self._settings = observing, learning
         self._made: SimpleQueue[Reviewed] = SimpleQueue()
         self.busy = False
-        self.spent = 0.0  # s of this process's time that reviews took so far
 
     def begin(self, seen: Seen) -> None:
-        begun, self.busy = time.thread_time(), True
+        self.busy = True
         self._made.put(review(seen, *self._settings))
-        self.spent += time.thread_time() - begun
 
     def result(self) -> Reviewed | None:
         """The review, once it is made. Does not wait."""

@@ -588,10 +588,6 @@ class KeptPictures:
         self._first: Array | None = None  # (m, 2) px, where each tag was seen first
         self._rest, self._away = (_Spread(part / (AT_REST + LOADED)) for part in (AT_REST, LOADED))
 
-    def __len__(self) -> int:
-        """Count of the pictures that are kept."""
-        return len(self._rest.kept) + len(self._away.kept)
-
     def __contains__(self, time: object) -> bool:
         """Whether the picture of a time [s] is kept."""
         return time in self.by_time()

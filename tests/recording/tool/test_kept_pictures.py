@@ -42,7 +42,7 @@ def test_rest_and_push_are_kept_of_a_long_stream() -> None:
     for time in (*rest.tolist(), *push.tolist()):
         way = 40.0 * np.clip((time - push[0]) / 10.0, 0.0, 1.0)  # px
         kept.add(time, tags_at(way), partial(grey, np.zeros((30, 40), np.uint8)))
-        assert len(kept) <= MOST
+        assert len(kept.by_time()) <= MOST
     times = np.sort([*kept.by_time()])
     resting, pushed = times[times <= push[3]], times[times > push[3]]
     assert len(resting) >= AT_REST  # as many as are looked at
@@ -58,7 +58,7 @@ def test_large_pictures_are_fewer() -> None:
     for i in range(200):
         few.add(0.2 * i, tags_at(2.0 * i), partial(grey, large))
         many.add(0.2 * i, tags_at(2.0 * i), partial(grey, small))
-    assert 8 <= len(few) <= 25 < len(many)
+    assert 8 <= len(few.by_time()) <= 25 < len(many.by_time())
     blind = KeptPictures()
     blind.add(0.0, np.full((2, 4, 2), np.nan), partial(grey, small))
     assert not blind.by_time()
