@@ -83,4 +83,5 @@ def follow(live: Live, arrivals: Iterable[Arrival], *, at_pace: bool = False) ->
             latency[i] = now - came[i]
             waiting.remove(i)
     live._reviewer.begin = timed.begun  # type: ignore[method-assign]
-    return Followed(*(np.array(one) for one in (stamps, frame_cost, force_cost, tags, latency)), timed.spent)
+    costs = np.array(frame_cost), np.array(force_cost), np.array(tags), np.array(latency)
+    return Followed(np.array(stamps), *costs, reviews=timed.spent)
