@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.outline import outline_of, with_end
+from benchmarks.outline import beside, outline_of, with_end
 from benchmarks.real_bench import bench_of
 from onebend.beam.setup import Renewed, posture_terms
 from onebend.control.reach import reach_in_setup
@@ -30,7 +30,6 @@ from onebend.lab.virtual import (
     VirtualBench,
     VirtualRecording,
     from_base,
-    observe_virtual,
     tag_places,
     tag_poses_on,
     virtual_recording,
@@ -47,7 +46,7 @@ STEP = 0.1  # s, of the rod that is bent
 PASSES = 3  # of the force that the true sensor shows
 SPREAD = 0.35  # rad, of the goals' forces about the mean direction of the push
 LEVELS = (0.5, 0.95)
-BARE = ("outline", "end")
+SEEN = ("tags", "outline", "end", "both")  # "end": the outline and its end; "both": tags beside these
 NEW: tuple[Renewed, ...] = ("tool", "sensor")
 
 
@@ -94,19 +93,21 @@ def placed(bench: VirtualBench, seed: int, sd: float) -> VirtualBench:
     return replace(bench, tags=tags, base=(off[0][0], off[0][1], bench.base[2]), declared=said)
 
 
-def learn(cell: str, seed: int, placed_to: float = 0.0, bare: str = "") -> Learned:
-    """Make, observe, fit; tags as they are, or `placed_to` [m], or a body as in `BARE`."""
+def learn(cell: str, seed: int, placed_to: float = 0.0, shown: str = "tags") -> Learned:
+    """Make, observe, fit; tags as they are, or `placed_to` [m]; what is `shown` as in `SEEN`."""
     bench = fixed(bench_of(cell, seed)[0], seed)
     bench = placed(bench, seed, placed_to) if placed_to else bench
+    bare = shown in ("outline", "end")
     if bare:
         bench = replace(bench, effects=replace(bench.effects, patch_factor=1.0))
     made = virtual_recording(bench, seed=seed)
-    seen, markers = observe_virtual(made), made.markers
-    if bare:
+    described, markers = made.recording, made.markers
+    if shown != "tags":
         markers = outline_of(made, np.random.default_rng([seed, 5]))
-        markers = with_end(made, markers, np.random.default_rng([seed, 55])) if bare == "end" else markers
-        described = replace(made.recording, tags=replace(made.recording.tags, on_beam=()))
-        seen = assemble(described, markers, made.log, None, ObserveSettings())
+        markers = markers if shown == "outline" else with_end(made, markers, np.random.default_rng([seed, 55]))
+        markers = beside(made.markers, markers) if shown == "both" else markers
+        described = replace(described, tags=replace(described.tags, on_beam=())) if bare else described
+    seen = assemble(described, markers, made.log, None, ObserveSettings())
     turn = float(np.nanmedian(markers.angle[seen.frame] - seen.angle))
     return Learned(cell, seed, bench, made, turn, fit([seen], gain_sd=bench.declared.gain_sd))
 
@@ -202,11 +203,11 @@ def led(one: Learned, *, with_new: bool = True, tag: bool = False) -> list[Led]:
     return out
 
 
-def run(cell: str, seed: int, placed_to: float = 0.0, tag: bool = False, bare: str = "") -> list[Led] | str:
+def run(cell: str, seed: int, placed_to: float = 0.0, tag: bool = False, shown: str = "tags") -> list[Led] | str:
     """One bench; why not, where it cannot be made, learned or bent."""
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     try:
-        return led(learn(cell, seed, placed_to, bare), tag=tag)
+        return led(learn(cell, seed, placed_to, shown), tag=tag)
     except (ControlError, LearningError, MechanicsError, ObservationError) as wrong:
         return f"{cell} {seed}: {type(wrong).__name__}: {wrong}"
 
@@ -232,12 +233,15 @@ def main() -> None:
     parser.add_argument("--placed-mm", type=float, default=0.0, help="place all tags so well, and state it")
     parser.add_argument("--tag", action="store_true", help="lead the last tag in place of the tip")
     parser.add_argument(
-        "--bare", default="", choices=BARE, help="no tags on the body: its outline, without its end or with"
+        "--shown",
+        default="tags",
+        choices=SEEN,
+        help="what the camera sees of the body: tags, a bare outline without its end or with it, tags beside these",
     )
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     asked = parser.parse_args()
     benches = [(cell, asked.first + i) for cell in asked.cells for i in range(asked.runs)]
-    wanted = [(*one, 1e-3 * asked.placed_mm, asked.tag, asked.bare) for one in benches]
+    wanted = [(*one, 1e-3 * asked.placed_mm, asked.tag, asked.shown) for one in benches]
     goals: list[Led] = []
     with ProcessPoolExecutor(asked.jobs) as pool:
         for found in pool.map(run, *zip(*wanted, strict=True)):

@@ -427,7 +427,7 @@ def page(outcome: study.StudyOutcome, figures: Mapping[str, bytes]) -> str:
     return render("benchmarks.paper", "study.html", figures, content)
 
 
-def cards(outcome: study.StudyOutcome) -> list[dict[str, str]]:
+def cards(outcome: study.StudyOutcome) -> list[tuple[str, str, str]]:
     below, known = below_printed(outcome)
     films = [film for beam in outcome.beams for film in beam.films[1:]]
     tasks = [done for beam in outcome.beams for done in beam.tasks if done.way == "fit"]
@@ -439,7 +439,7 @@ def cards(outcome: study.StudyOutcome) -> list[dict[str, str]]:
     off = largest(done.off for done in reached)
     largest_tip = f"the largest of all: {millimetres(worst)} mm, the true beam's: {millimetres(floor)} mm"
     others = f"the paper's method: {significant(min(papers), 2)} … {significant(max(papers), 2)} %" if papers else ""
-    figures = (
+    return [
         ("validations below the printed tip error", f"{below} of {known}", f"of Tables IV and V; {largest_tip}"),
         (
             "k(s) is off by",
@@ -452,8 +452,7 @@ def cards(outcome: study.StudyOutcome) -> list[dict[str, str]]:
             f"to {length_words(largest(done.found.error for done in reached))}",
         ),
         ("the true beam is then off by", f"{millimetres(off)} mm", "at most, under the same force"),
-    )
-    return [{"what": what, "value": value, "note": note} for what, value, note in figures]
+    ]
 
 
 def shown(table: ResultTable) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -13,10 +14,9 @@ from onebend.report.confidence import (
     identified_ranges,
     identified_words,
     load_error_words,
-    nuisance_rows,
     unidentified_words,
 )
-from onebend.report.page import band_card
+from onebend.report.page import band_card, page
 from onebend.report.sentences import say, significant
 from onebend.report.style import png_of
 from tests import made_up
@@ -50,7 +50,7 @@ def test_every_blind_stretch_is_named_and_no_other(sd: tuple[float, ...], starts
         inside |= (s >= low - 1e-9) & (s <= high + 1e-9)
     np.testing.assert_array_equal(inside, one.band(s).identified)
     png_of(curves.stiffness(made_up.BEAM, uncertain=one))
-    assert ("not identified" in band_card(one)["value"]) == (sd[2] == sd[0] == 1.0)
+    assert ("not identified" in band_card(one)[1]) == (sd[2] == sd[0] == 1.0)
 
 
 def test_the_card_has_the_width_of_the_band_that_is_drawn() -> None:
@@ -59,13 +59,13 @@ def test_the_card_has_the_width_of_the_band_that_is_drawn() -> None:
     one = replace(uncertain(*[0.05] * 5), shape=np.full((3, 41), 0.8))
     band = one.band(s)
     percent = 100.0 * float(np.median(band.high / band.k) - 1.0)
-    assert band_card(one)["value"] == f"± {significant(percent, 2)} %"
+    assert band_card(one)[1] == f"± {significant(percent, 2)} %"
     assert percent == pytest.approx(100.0 * np.expm1(0.8 * np.log1p(0.081)), rel=0.02)
 
 
 def test_the_gain_is_in_the_card_and_said_apart() -> None:
-    assert band_card(uncertain(*[0.05] * 5, gain_sd=0.0))["value"] == "± 8.1 %"  # 1.96 x 0.05 x sqrt(10) / 4
-    assert band_card(uncertain(*[1e-6] * 5, gain_sd=0.05))["value"] == "± 10 %"
+    assert band_card(uncertain(*[0.05] * 5, gain_sd=0.0))[1] == "± 8.1 %"  # 1.96 x 0.05 x sqrt(10) / 4
+    assert band_card(uncertain(*[1e-6] * 5, gain_sd=0.05))[1] == "± 10 %"
     assert "known to 5 %" in say("gain", sd=0.05)
     assert "assumed to be exact" in say("gain exact")
     assert "weight" in say("scale by weight")
@@ -75,11 +75,7 @@ def test_nothing_counts_as_identified_where_k_is_in_doubt() -> None:
     one = replace(uncertain(*[0.01] * 5), doubts=("the fit did not converge",))
     assert not one.band(np.linspace(0.0, 1.0, 11)).identified.any()
     assert identified_ranges(one) == []
-    assert band_card(one) == {
-        "what": "k(s) is known to",
-        "value": "NOT TO BE TRUSTED",
-        "note": "the fit did not converge",
-    }
+    assert band_card(one) == ("k(s) is known to", "NOT TO BE TRUSTED", "the fit did not converge")
     (words,) = unidentified_words(one)
     assert "NOT TO BE TRUSTED: the fit did not converge" in words
     png_of(curves.stiffness(made_up.BEAM, uncertain=one))
@@ -93,14 +89,16 @@ def test_an_error_that_comes_with_the_load_is_said_where_it_counts() -> None:
 
 
 def test_nuisances_are_shown_in_the_units_of_a_bench() -> None:
-    found = made_up.posterior().nuisances()
-    rows = {row.name: row for row in nuisance_rows(found)}
-    clock = next(n for n in found if n.name == "made-up: clock offset")
-    assert (rows["tag 1 along"].before, rows["tag 1 along"].unit) == ("0.50", "mm")
-    assert (rows["made-up: clamp angle"].before, rows["made-up: clamp angle"].unit) == ("0.35", "deg")
-    assert float(rows["made-up: clock offset"].before) == pytest.approx(1e3 * clock.prior_sd)
-    assert rows["made-up: clock offset"].unit == "ms"
-    assert 0.0 <= rows["tag 1 along"].learned <= 1.0
+    found = made_up.findings(0)
+    assert found.posterior is not None
+    clock = next(n for n in found.posterior.nuisances() if n.name == "made-up: clock offset")
+    told = re.compile(r">([^<]*) \[([^<]*)\]</td><td>[^<]*</td><td>([^<]*)</td><td>[^<]*</td><td>([^<]*) %<")
+    rows = {name: more for name, *more in told.findall(page(found, {}))}
+    assert rows["tag 1 along"][:2] == ["mm", "0.50"]
+    assert rows["made-up: clamp angle"][:2] == ["deg", "0.35"]
+    assert float(rows["made-up: clock offset"][1]) == pytest.approx(1e3 * clock.prior_sd, rel=0.01)
+    assert rows["made-up: clock offset"][0] == "ms"
+    assert all(0.0 <= float(share) <= 100.0 for _, _, share in rows.values())
 
 
 @pytest.mark.parametrize(

@@ -67,15 +67,15 @@ def test_hung_weights_have_one_distance_from_the_fit() -> None:
     assert run.posterior is not None
     text = Links(page(run, {})).text
     worst = max(float(np.nanmax(rms)) for rms in fitted_rms(run.posterior))
-    card = next(card for card in cards(run) if "worst tag" in card["what"])
-    assert card["value"].startswith(f"{millimetres(worst)}\u00a0mm (tag")
+    worst_card = next(card for card in cards(run) if "worst tag" in card[0])
+    assert worst_card[1].startswith(f"{millimetres(worst)}\u00a0mm (tag")
     as_written = validate(run.beam, run.recordings[0]).rms
     said = text.split("Fit to the learned recordings")[1].split("An allowance is an effect of a real beam")[0]
     fitted = {millimetres(value) for value in fitted_rms(run.posterior)[0]}
     other = {millimetres(value) for value in as_written} - fitted
     assert other
     assert all(value in said for value in fitted)
-    assert not any(value in said + card["note"] for value in other)
+    assert not any(value in said + worst_card[2] for value in other)
     assert "residuals" not in draw_all(run).drawn
     far = replace(run, trainings=tuple(replace(one, rms=one.rms + 1.0) for one in run.trainings))
     assert not any("the simulated beam misses" in remark.text for _, remark in all_remarks(far))

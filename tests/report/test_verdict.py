@@ -18,7 +18,6 @@ from onebend.learning.posterior import Posterior
 from onebend.learning.run import Run
 from onebend.learning.verdict import fit_notices, fitted_rms, possible
 from onebend.records import MassLine, Remark, StatedSection
-from onebend.report.confidence import model_test_rows
 from onebend.report.page import cards, code_in, page
 from onebend.report.sentences import worded
 from onebend.report.verdict import hopeless, validation_verdict, verdict_of
@@ -77,8 +76,8 @@ def test_terminal_report_and_summary_say_the_same() -> None:
         assert code_in(words) in html
         assert words in summary.values()
     assert summary["error_m"] == pytest.approx(max(found.validations[0].rms))
-    [card] = [card for card in cards(found) if card["what"] == "verdict"]
-    assert (card["value"], card["note"]) == (verdict.grade, verdict.rests_on)
+    [card] = [card for card in cards(found) if card[0] == "verdict"]
+    assert card[1:] == (verdict.grade, verdict.rests_on)
 
 
 def test_a_validation_is_held_against_what_the_sensor_allows() -> None:
@@ -191,7 +190,7 @@ def test_a_test_of_which_the_data_tell_nothing_is_none() -> None:
 
     one = replace(found, criticism=replace(critic, findings=(blind(first), *others)))
     assert verdict_of(replace(made_up.findings(0), posterior=one)).rests_on.startswith(f"{count - 1} tests")
-    assert len(model_test_rows(one, most=100)) == count - 1
+    assert len(possible(one).criticism.able) == count - 1
     all_blind = replace(found, criticism=replace(critic, findings=tuple(map(blind, critic.findings))))
     none = replace(made_up.findings(0), posterior=all_blind)
     assert verdict_of(none).rests_on.startswith("no test")

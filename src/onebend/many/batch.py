@@ -312,7 +312,10 @@ def page(outcome: BatchOutcome) -> str:
     rows = answers(outcome)
     content = {
         "title": one_line(f"Batch {outcome.out.name}"),
-        "cards": _cards(outcome),
+        "cards": [
+            ("learned", f"{len(outcome.learned)} of {len(outcome.records)}", "recordings"),
+            ("in doubt", str(len(outcome.in_doubt)), "k(s) is not to be trusted, or not known"),
+        ],
         "grouped": any(names),
         "answers": [{"name": one_line(one.name), "group": one_line(one.group), "one": one} for one in rows],
         "known": known,
@@ -324,13 +327,6 @@ def page(outcome: BatchOutcome) -> str:
         "data": "{}",
     }
     return render("onebend.many", "batch.html", {}, content, scripts=("sort.js",))
-
-
-def _cards(outcome: BatchOutcome) -> list[dict[str, str]]:
-    return [
-        {"what": "learned", "value": f"{len(outcome.learned)} of {len(outcome.records)}", "note": "recordings"},
-        {"what": "in doubt", "value": str(len(outcome.in_doubt)), "note": "k(s) is not to be trusted, or not known"},
-    ]
 
 
 def _reasons(outcome: BatchOutcome) -> list[dict[str, Any]]:

@@ -274,15 +274,15 @@ def group_name(name: str) -> str:
     return one_line(name) or "all"
 
 
-def _cards(outcome: PopulationOutcome) -> list[dict[str, str]]:
+def _cards(outcome: PopulationOutcome) -> list[tuple[str, str, str]]:
     trial = outcome.named.trial
     far = sum(bool(why) for why in outcome.outliers)
     spread = percent(float(np.expm1(outcome.shares.level_sd.value)))
     return [
-        {"what": "objects", "value": str(trial.objects), "note": f"in {trial.groups} groups"},
-        {"what": "recordings", "value": str(len(trial.log_k)), "note": f"{len(outcome.named.left_out)} left out"},
-        {"what": "spread of k within groups", "value": spread, "note": "sd of the level"},
-        {"what": "unlike the others", "value": str(far), "note": "objects"},
+        ("objects", str(trial.objects), f"in {trial.groups} groups"),
+        ("recordings", str(len(trial.log_k)), f"{len(outcome.named.left_out)} left out"),
+        ("spread of k within groups", spread, "sd of the level"),
+        ("unlike the others", str(far), "objects"),
     ]
 
 

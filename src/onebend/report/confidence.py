@@ -13,17 +13,18 @@ from onebend.beam.section import ModulusBand, one_modulus
 from onebend.beam.stiffness import IDENTIFIED_SD, Band, UncertainStiffness, half_width, half_width_words
 from onebend.learning import criticism, outcome, run, verdict
 from onebend.learning.attribution import FORCE_SCALE, SHIFTS, WIDENS, Attribution, hidden_by
-from onebend.learning.posterior import Nuisance, Posterior, tradeoffs, with_level
+from onebend.learning.posterior import Posterior, tradeoffs, with_level
 from onebend.recording.signals import runs
 from onebend.records import GAIN_SD, PLACE_SD, Array, Observations, StatedSection
 from onebend.report import sentences
-from onebend.report.sentences import millimetres, modulus_unit, odds, say, significant, span, words
+from onebend.report.sentences import modulus_unit, say, significant, span, words
 
 FACTOR = float(np.exp(half_width(IDENTIFIED_SD)))  # k is identified where it is known to this factor
 SMALL_SHARE = 0.05  # of the largest force: smaller errors under load are not mentioned
 NARROW = 0.03  # in s: shorter gaps are joined
+_MOST_TESTS = 8  # shown
 _SLIVER = 0.01  # in s: shorter ranges are not named beside longer ones
-_SHOWN = {
+UNITS = {  # of nuisances, and those in which they are shown
     "m": (1e3, "mm"),
     "rad": (180.0 / np.pi, "deg"),
     "m/rad": (1e3, "mm/rad"),
@@ -32,17 +33,6 @@ _SHOWN = {
     "N": (1e3, "mN"),
     "N/s": (1e3, "mN/s"),
 }
-
-
-@dataclass(frozen=True)
-class NuisanceRow:
-    name: str
-    value: str
-    before: str  # prior sd
-    after: str  # posterior sd
-    unit: str
-    moved: float  # |value| in prior sds
-    learned: float  # 1 - after / before
 
 
 def identified_ranges(uncertain: UncertainStiffness) -> list[tuple[float, float]]:
@@ -147,72 +137,12 @@ def stop_words(posterior: Posterior) -> str:
     return say("converged" if found.converged else "stopped early", steps=found.steps, why=found.stopped)
 
 
-def nuisance_rows(nuisances: Sequence[Nuisance]) -> list[NuisanceRow]:
-    """In mm, degrees, ms, % and mN."""
-    rows = []
-    for n in nuisances:
-        factor, unit = _SHOWN.get(n.unit, (1.0, n.unit))
-        rows.append(
-            NuisanceRow(
-                name=n.name,
-                value=f"{significant(factor * n.value, 2)}",
-                before=significant(factor * n.prior_sd, 2),
-                after=significant(factor * n.sd, 2),
-                unit=unit,
-                moved=abs(n.value) / n.prior_sd,
-                learned=max(1.0 - n.sd / n.prior_sd, 0.0),
-            )
-        )
-    return rows
-
-
-@dataclass(frozen=True)
-class AllowanceRow:
-    name: str
-    widening: str  # factor on the band
-    change: str  # % of k(s) if ignored; "another" beyond first order
-    sds: str  # sds from zero
-    matters: bool
-
-
-def allowance_rows(posterior: Posterior) -> list[AllowanceRow]:
-    """Allowances, the largest change of k(s) first."""
-    return [
-        AllowanceRow(
-            name=share.name,
-            widening=f"{share.widening:.2f}",
-            change=sentences.change_words(share.shift),
-            sds=f"{share.sds:.1f}",
-            matters=share.matters,
-        )
-        for share in posterior.attributions
-    ]
-
-
-@dataclass(frozen=True)
-class ModelTestRow:
-    what: str
-    odds: str  # of chance
-    size: str  # motion of a tag, mm
-    shift: str  # change of k, %
-    alarm: bool
-
-
-def model_test_rows(posterior: Posterior, most: int = 8) -> list[ModelTestRow]:
-    """The tests with the smallest p-values; none for a hopeless fit."""
+def model_tests(posterior: Posterior) -> list[tuple[str, criticism.Finding]]:
+    """What is tested, the smallest p-values first; none for a hopeless fit."""
     if any(misfit.hopeless for misfit in posterior.misses):
         return []
-    critic = verdict.possible(posterior).criticism
-    return [
-        ModelTestRow(
-            what=words(verdict.what_is_tested(finding, posterior)),
-            odds=odds(finding.score.log10_p),
-            size=millimetres(finding.score.size),
-            shift=f"{100.0 * float(np.expm1(finding.shift)):.2g} %",
-            alarm=finding in critic.alarms,
-        )
-        for finding in critic.able[:most]
-    ]
+    able = verdict.possible(posterior).criticism.able[:_MOST_TESTS]
+    return [(words(verdict.what_is_tested(finding, posterior)), finding) for finding in able]
 
 
 def alarm_words(posterior: Posterior) -> str:

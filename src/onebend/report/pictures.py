@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,29 +40,6 @@ QUALITIES = (70, 55, 40, 25, 12)  # of the JPEGs, best first
 _STEP = 4  # of the centre line's places
 
 
-@dataclass(frozen=True)
-class StripFrame:
-    """Lengths in pixels of the small picture."""
-
-    jpeg: bytes
-    frame: int  # in the video
-    time: float  # s since the first frame shown
-    beam: Array  # (places, 2) px, fitted centre line
-    band: Array  # (2, places, 2) px, edges of its 95 % band due to k(s)
-    tags: Array  # (m, 2) px; NaN if not seen
-    arrow: Array  # (2, 2) px, to the place of the force
-    force: Array  # (2,) N, fitted
-
-
-@dataclass(frozen=True)
-class FilmStrip:
-    """Frames of one size [px]."""
-
-    width: int
-    height: int
-    frames: tuple[StripFrame, ...]
-
-
 def film_of(video: Path, observations: Observations) -> VideoEntry:
     return VideoEntry(file=video, topic=observations.source.video_topic)
 
@@ -78,8 +56,13 @@ def film_strip(
     beam: Beam,
     uncertain: UncertainStiffness,
     kept: KeptFrames | None = None,
-) -> FilmStrip | None:
-    """Evenly spread frames of the fit; those not in `kept` are read. None without film or camera."""
+) -> dict[str, Any] | None:
+    """Evenly spread frames of the fit, for the page's script; those not in `kept` are read. None without film or
+    camera.
+
+    Lengths are in pixels of the small pictures: the fitted beam, the edges of its 95 % band due to k(s), the tags that
+    are seen, and the arrow to the place of the fitted force [N]. Times count from the first frame shown.
+    """
     source, shown = observations.source, fitted.comparison
     if source.view is None or source.video is None:
         return None
@@ -99,21 +82,31 @@ def film_strip(
     aside = shape_band(beam, uncertain, observations, fitted, chosen)
     low, scale = next(iter(images.values()))[1:]
     jpegs = dict(zip(images, _jpegs([image for image, _, _ in images.values()]), strict=True))
-    frames = tuple(
-        StripFrame(
-            jpeg=jpegs[int(shown.frame[t])],
-            frame=int(shown.frame[t]),
-            time=float(shown.time[t] - shown.time[chosen[0]]),
-            beam=scale * (beams[i] - low),
-            band=scale * (project(source.view, aside[i]) - low),
-            tags=scale * (tags[i] - low),
-            arrow=scale * (arrows[i] - low),
-            force=shown.force[t],
-        )
-        for i, t in enumerate(chosen)
-        if int(shown.frame[t]) in jpegs
-    )
-    return FilmStrip(*next(iter(images.values()))[0].size, frames)
+
+    def small(px: Array) -> list[Any]:
+        return list((scale * (px - low)).round(1).tolist())
+
+    frames = [
+        {
+            "picture": f"data:image/jpeg;base64,{jpegs[index]}",
+            "frame": index,
+            "time_s": round(float(shown.time[t] - shown.time[chosen[0]]), 3),
+            "beam_px": small(beams[i]),
+            "band_px": small(project(source.view, np.concatenate([aside[i, 0], aside[i, 1, ::-1]]))),
+            "tags_px": small(tags[i][np.isfinite(tags[i]).all(axis=1)]),
+            "arrow_px": small(arrows[i]),
+            "force_N": six_digits(shown.force[t]),
+        }
+        for i, (t, index) in enumerate(zip(chosen, shown.frame[chosen].tolist(), strict=True))
+        if index in jpegs
+    ]
+    width, height = next(iter(images.values()))[0].size
+    return {"width": width, "height": height, "frames": frames}
+
+
+def six_digits(values: Array) -> list[float]:
+    """For a smaller page."""
+    return [float(f"{value:.6g}") for value in values]
 
 
 def shape_band(
@@ -172,20 +165,16 @@ def _part(picture: NDArray[np.uint8], points: Array) -> tuple[Image.Image, NDArr
     return part.resize((width, height), Image.Resampling.HAMMING), low, scale
 
 
-def _jpegs(images: list[Image.Image]) -> list[bytes]:
-    """JPEGs of the best quality below `LARGEST` in all."""
-    jpegs: list[bytes] = []
+def _jpegs(images: list[Image.Image]) -> list[str]:
+    """JPEGs of the best quality below `LARGEST` in all, in base64."""
+    streams: list[io.BytesIO] = []
     for quality in QUALITIES:
-        jpegs = [_jpeg(image, quality) for image in images]
-        if sum(map(len, jpegs)) <= LARGEST:
+        streams = [io.BytesIO() for _ in images]
+        for image, stream in zip(images, streams, strict=True):
+            image.save(stream, format="JPEG", quality=quality, optimize=True)
+        if sum(stream.tell() for stream in streams) <= LARGEST:
             break
-    return jpegs
-
-
-def _jpeg(image: Image.Image, quality: int) -> bytes:
-    stream = io.BytesIO()
-    image.save(stream, format="JPEG", quality=quality, optimize=True)
-    return stream.getvalue()
+    return [base64.b64encode(stream.getvalue()).decode("ascii") for stream in streams]
 
 
 Draw: TypeAlias = "Callable[[], Figure | None]"
@@ -198,7 +187,7 @@ class Pictures:
 
     drawn: dict[str, bytes] = field(default_factory=dict)  # PNGs by name
     failed: dict[str, str] = field(default_factory=dict)  # reasons by name
-    film: FilmStrip | None = None  # for the page
+    film: dict[str, Any] | None = None  # of `film_strip`
 
     def write(self, folder: Path) -> None:
         """As `NAME.png`."""

@@ -277,9 +277,14 @@ def _allowed(findings: run.Run) -> str:
     return f"The fit also allows for {', '.join(names)}." if names else none
 
 
+def grown_words(shift: float) -> str:
+    """A change of log k as one of k in percent."""
+    return f"{100.0 * np.expm1(shift):.2g} %"
+
+
 def change_words(shift: float) -> str:
     """Change of k(s) in percent, or "another" beyond first order."""
-    return f"{100.0 * np.expm1(shift):.2g} %" if shift < _LINEAR else ANOTHER
+    return grown_words(shift) if shift < _LINEAR else ANOTHER
 
 
 LEVELS = ((0.95, 0.14), (0.80, 0.20), (0.50, 0.32))  # and opacity

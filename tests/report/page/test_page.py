@@ -16,13 +16,14 @@ from onebend.learning.outcome import another_beam, poor_fit
 from onebend.learning.verdict import fitted_rms
 from onebend.recording.video import KeptFrames
 from onebend.records import POINT_ID, ClockOffset, Remark
-from onebend.report.confidence import alarm_words, allowance_rows, stiffness_range, tradeoff_words, unidentified_words
+from onebend.report.confidence import alarm_words, stiffness_range, tradeoff_words, unidentified_words
 from onebend.report.figures import Shown, draw_all, fit
 from onebend.report.page import cards, code_in, page
 from onebend.report.sentences import (
     all_remarks,
     assumptions,
     axis_words,
+    change_words,
     clock_words,
     inputs,
     legend_words,
@@ -246,7 +247,7 @@ def test_small_words() -> None:
 
 def test_cards_count_the_recordings_and_keep_to_what_is_identified() -> None:
     one, two = made_up.findings(1), made_up.findings(2)
-    notes = [" ".join(card["note"] for card in cards(found)) for found in (one, two)]
+    notes = [" ".join(note for _, _, note in cards(found)) for found in (one, two)]
     assert f"RMS, on {one.validations[0].name}" in notes[0]
     assert "worst of 2 other recordings" in notes[1]
     assert one.posterior is not None
@@ -254,7 +255,7 @@ def test_cards_count_the_recordings_and_keep_to_what_is_identified() -> None:
     low, high = stiffness_range(one)
     inside = one.beam.stiffness(np.linspace(0.0, 1.0, 201))[known]
     assert (low, high) == (inside.min(), inside.max())
-    assert f"{significant(low)} … {significant(high)}" in cards(one)[0]["value"]
+    assert f"{significant(low)} … {significant(high)}" in cards(one)[0][1]
 
 
 def test_the_page_says_from_where_on_a_test_counts() -> None:
@@ -314,11 +315,11 @@ def test_what_is_allowed_for_stands_with_its_share() -> None:
     found = made_up.findings(0)
     assert found.posterior is not None
     text = Links(page(found, {})).text
-    for row in allowance_rows(found.posterior):
-        assert f"{row.name}{row.widening}{row.change}{row.sds}" in text
+    for share in found.posterior.attributions:
+        assert f"{share.name}{share.widening:.2f}{change_words(share.shift)}{share.sds:.1f}" in text
     assert any(share.name == "stretch and shear" for share in found.posterior.attributions)
-    [card] = [card for card in cards(found) if card["what"] == "verdict"]
-    assert card["value"] == found.posterior.grade
+    [grade] = [value for what, value, _ in cards(found) if what == "verdict"]
+    assert grade == found.posterior.grade
     assert any("stretch and shear" in line for line in assumptions(found))
     assert any("neither stretches nor shears" in line for line in assumptions(replace(found, posterior=None)))
 

@@ -24,8 +24,17 @@ from onebend.learning.run import Run
 from onebend.learning.verdict import fitted_rms, possible, unseen_place
 from onebend.records import Array, Observations
 from onebend.report import confidence, sentences
-from onebend.report.pictures import FilmStrip
-from onebend.report.sentences import all_remarks, millimetres, posture_words, significant, words
+from onebend.report.pictures import six_digits
+from onebend.report.sentences import (
+    all_remarks,
+    change_words,
+    grown_words,
+    millimetres,
+    odds,
+    posture_words,
+    significant,
+    words,
+)
 from onebend.report.verdict import verdict_of
 from onebend.text_files import one_line, to_json
 
@@ -57,6 +66,7 @@ def _environment(package: str, name: str) -> Environment:
     )
     environment.filters |= {"code": code_in, "line": one_line, "json": to_json, "bic": sentences.bic_words}
     environment.filters |= {"mm": millimetres, "significant": significant, "posture": posture_words}
+    environment.filters |= {"odds": odds, "change": change_words, "grown": grown_words}
     return environment
 
 
@@ -75,27 +85,29 @@ def page_file(package: str, file: str) -> str:
     return files(package).joinpath(file).read_text(encoding="utf-8")
 
 
-def cards(findings: Run) -> list[dict[str, str]]:
-    """Name, value and note of each card."""
-    recording = findings.recordings[0]
-    rows = [_stiffness_card(findings), *_modulus_card(findings)]
+Card = tuple[str, str, str]  # name, value and note
+
+
+def cards(findings: Run) -> list[Card]:
+    recording, (low, high), area = findings.recordings[0], confidence.stiffness_range(findings), findings.beam.length
+    k = sentences.span(low, high, " … ")
+    bending = sentences.span(1e6 * area * low, 1e6 * area * high, " … ")
+    rows = [("bending stiffness k(s)", f"{k}\u00a0N\u00a0m", f"EI {bending} N mm²"), *_modulus_card(findings)]
     if findings.posterior is not None:
         verdict = verdict_of(findings)
-        rows.append(band_card(findings.posterior.stiffness))
-        rows.append({"what": "verdict", "value": verdict.grade, "note": verdict.rests_on})
+        rows += [band_card(findings.posterior.stiffness), ("verdict", verdict.grade, verdict.rests_on)]
     rows.append(_training_card(findings))
     seen = [one for one in findings.validations if np.isfinite(one.rms).any()]  # not of frequencies alone
     if seen:
         worst = max(seen, key=lambda comparison: np.max(np.nan_to_num(comparison.rms)))
         others = len(seen)
         which = f"worst of {others} other recordings ({worst.name})" if others > 1 else f"on {worst.name}"
-        note = f"RMS, {which}{_noise_of(worst)}"
-        rows.append({"what": "validation, worst tag", "value": sentences.worst_tag(worst), "note": note})
+        rows.append(("validation, worst tag", sentences.worst_tag(worst), f"RMS, {which}{_noise_of(worst)}"))
     if recording.source.clean_force is not None:
         size = np.linalg.norm(recording.force[recording.loaded], axis=1)
         noise = 1000.0 * float(np.max(recording.source.clean_force.noise_sd))
-        note = f"noise left in it: {significant(noise, 2)} mN (sd)"
-        rows.append({"what": "largest force", "value": f"{significant(np.nanmax(size, initial=0.0))} N", "note": note})
+        largest = f"{significant(np.nanmax(size, initial=0.0))} N"
+        rows.append(("largest force", largest, f"noise left in it: {significant(noise, 2)} mN (sd)"))
     return rows
 
 
@@ -104,54 +116,38 @@ def _noise_of(validation: Comparison) -> str:
     return f"; force noise {millimetres(float(noise))} mm" if np.isfinite(noise) and noise > 0.0 else ""
 
 
-def _training_card(findings: Run) -> dict[str, str]:
+def _training_card(findings: Run) -> Card:
     if findings.posterior is not None and sentences.only_frequencies(findings.recordings):
         swings = findings.posterior.frequencies
         note = f"of {len(compared_frequencies(swings))} measured, from those of the fit"
-        return {"what": "worst frequency", "value": f"{significant(worst_off(swings), 2)} sd", "note": note}
-    what = "learned recording, worst tag"
+        return "worst frequency", f"{significant(worst_off(swings), 2)} sd", note
     rms = [one.rms for one in findings.trainings] if findings.posterior is None else fitted_rms(findings.posterior)
     which = int(np.argmax([float(np.max(np.nan_to_num(values))) for values in rms]))
     logged = findings.trainings[which]
     of = "RMS under the force as logged" if findings.posterior is None else "RMS of the fit"
     note = f"{of}, over {len(logged.frame)} {sentences.words_of(findings.recordings[which]).frames}"
-    return {"what": what, "value": sentences.worst_tag(replace(logged, rms=rms[which])), "note": note}
+    return "learned recording, worst tag", sentences.worst_tag(replace(logged, rms=rms[which])), note
 
 
-def _stiffness_card(findings: Run) -> dict[str, str]:
-    low, high = confidence.stiffness_range(findings)
-    area = 1e6 * findings.beam.length
-    return {
-        "what": "bending stiffness k(s)",
-        "value": f"{sentences.span(low, high, ' … ')}\u00a0N\u00a0m",
-        "note": f"EI {sentences.span(area * low, area * high, ' … ')} N mm²",
-    }
-
-
-def _modulus_card(findings: Run) -> list[dict[str, str]]:
+def _modulus_card(findings: Run) -> list[Card]:
     measured = confidence.measured_beam(findings)
     found, one = confidence.modulus_range(measured), confidence.one_modulus_words(measured)
     if one:
         note = f"95 %; mean along the beam, k(s) stated to go with the section; {found} at its places"
-        return [{"what": "Young's modulus E", "value": one, "note": note}]
+        return [("Young's modulus E", one, note)]
     note = "E(s) = k L / I, where k is identified, by the section that recording.toml states"
-    return [{"what": "Young's modulus E(s)", "value": found, "note": note}] if found else []
+    return [("Young's modulus E(s)", found, note)] if found else []
 
 
-def band_card(uncertain: UncertainStiffness) -> dict[str, str]:
+def band_card(uncertain: UncertainStiffness) -> Card:
     """Width of the band, identified places, trust."""
-    what = "k(s) is known to"
+    what, ranges = "k(s) is known to", confidence.identified_ranges(uncertain)
     if uncertain.doubts:
-        return {"what": what, "value": "NOT TO BE TRUSTED", "note": "; ".join(uncertain.doubts)}
-    ranges = confidence.identified_ranges(uncertain)
+        return what, "NOT TO BE TRUSTED", "; ".join(uncertain.doubts)
     if not ranges:
-        return {"what": what, "value": "not identified", "note": "at no place to a factor of 1.5"}
-    wide = confidence.typical_half_width(uncertain)
-    return {
-        "what": what,
-        "value": half_width_words(wide),
-        "note": f"95 %, median over the identified s = {confidence.identified_words(ranges)}",
-    }
+        return what, "not identified", "at no place to a factor of 1.5"
+    wide, places = confidence.typical_half_width(uncertain), confidence.identified_words(ranges)
+    return what, half_width_words(wide), f"95 %, median over the identified s = {places}"
 
 
 # Data of the page's script.
@@ -160,9 +156,9 @@ SCRIPTS = ("beam.js", "curve.js", "bend.js", "film.js", "page.js")  # one script
 PLACES = 201  # of the curves
 
 
-def script_data(findings: Run, film: FilmStrip | None = None) -> Markup:
+def script_data(findings: Run, film: Mapping[str, Any] | None = None) -> Markup:
     """JSON that cannot end its script element."""
-    data = {"curve": _curve(findings), "bend": _bend(findings), "film": None if film is None else _film(film)}
+    data = {"curve": _curve(findings), "bend": _bend(findings), "film": film}
     text = to_json(data, ascii_only=True, readable=False)
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
 
@@ -175,8 +171,8 @@ def _curve(findings: Run) -> dict[str, Any]:
     found: dict[str, Any] = {
         "length_m": beam.length,
         "tag_words": sentences.axis_words(findings.trainings[0].tag_id.tolist()),
-        "tag_s": _short(findings.trainings[0].marker_s),
-        "k_N_m": _short(k),
+        "tag_s": six_digits(findings.trainings[0].marker_s),
+        "k_N_m": six_digits(k),
         "bands": [],
         "top_N_m": float(max(np.max(k), 0.0)),
         "lowest_N_m": float(min(np.min(k), 0.0)),
@@ -187,14 +183,14 @@ def _curve(findings: Run) -> dict[str, Any]:
     found |= {"known": uncertain.band(s).identified.tolist(), "top_N_m": sentences.highest_shown(uncertain)}
     found |= {"bands": _bands(uncertain, s), "unknown": "not to be trusted" if uncertain.doubts else "not identified"}
     if learned is not None:
-        found["regression_N_m"] = _short(np.asarray(learned.beam.stiffness(s)))
+        found["regression_N_m"] = six_digits(np.asarray(learned.beam.stiffness(s)))
     return found
 
 
 def _bands(uncertain: UncertainStiffness, s: Array) -> list[dict[str, Any]]:
     bands = [(level, strength, uncertain.band(s, level)) for level, strength in sentences.LEVELS]
     return [
-        {"level": level, "strength": strength, "low_N_m": _short(band.low), "high_N_m": _short(band.high)}
+        {"level": level, "strength": strength, "low_N_m": six_digits(band.low), "high_N_m": six_digits(band.high)}
         for level, strength, band in bands
     ]
 
@@ -215,9 +211,9 @@ def _bend(findings: Run) -> dict[str, Any] | None:
     return {
         "length_m": beam.length,
         "clamp_rad": beam.clamp_angle,
-        "k_N_m": _short(k),
-        "q0_rad": _short(np.asarray(beam.rest_curvature(s))),
-        "mass_kg_m": _short(mass if np.any(gravity) else np.zeros_like(mass)),
+        "k_N_m": six_digits(k),
+        "q0_rad": six_digits(np.asarray(beam.rest_curvature(s))),
+        "mass_kg_m": six_digits(mass if np.any(gravity) else np.zeros_like(mass)),
         "masses": [[one.s, one.mass] for one in beam.masses],
         "gravity_m_s2": gravity.tolist(),
         "largest_N": largest,
@@ -225,28 +221,6 @@ def _bend(findings: Run) -> dict[str, Any] | None:
         "first_N": (hardest if largest > 0.0 else np.array([0.0, 0.5 * usual])).tolist(),
         "at_s": float(np.max(places, initial=0.0)) or 1.0,
     }
-
-
-def _film(film: FilmStrip) -> dict[str, Any]:
-    frames = [
-        {
-            "picture": "data:image/jpeg;base64," + base64.b64encode(one.jpeg).decode("ascii"),
-            "frame": one.frame,
-            "time_s": round(one.time, 3),
-            "beam_px": one.beam.round(1).tolist(),
-            "band_px": [*one.band[0].round(1).tolist(), *one.band[1, ::-1].round(1).tolist()],
-            "tags_px": [point.round(1).tolist() for point in one.tags if np.isfinite(point).all()],
-            "arrow_px": one.arrow.round(1).tolist(),
-            "force_N": _short(one.force),
-        }
-        for one in film.frames
-    ]
-    return {"width": film.width, "height": film.height, "frames": frames}
-
-
-def _short(values: Array) -> list[float]:
-    """Six digits, for a smaller page."""
-    return [float(f"{value:.6g}") for value in values]
 
 
 FAMILIES = {"gaussians": "Gaussians", "powers": "powers of s"}
@@ -258,10 +232,10 @@ def page(
     figures: Mapping[str, bytes],
     *,
     made_from: Mapping[str, Any] | None = None,
-    film: FilmStrip | None = None,
+    film: Mapping[str, Any] | None = None,
 ) -> str:
     """The report as HTML. `figures`: PNGs by name, as from `figures.draw_all`; missing ones are left out. `made_from`:
-    the `provenance` of `summary.json`."""
+    the `provenance` of `summary.json`. `film`: of `pictures.film_strip`."""
     content = {"made_from": made_from, "film": film, "data": script_data(findings, film), **_content(findings)}
     return render(COMMON, "page.html", figures, content, scripts=SCRIPTS)
 
@@ -269,6 +243,8 @@ def page(
 def _content(findings: Run) -> dict[str, Any]:
     learned, first, logged = findings.learned, findings.recordings[0], findings.trainings[0]
     remarks = [{"recording": whose, **remark.as_dict(), "docs": remark.docs} for whose, remark in all_remarks(findings)]
+    s, posterior, measured = np.linspace(0.0, 1.0, 11), findings.posterior, confidence.measured_beam(findings)
+    band = None if posterior is None else posterior.band(s)
     return {
         "name": sentences.name_of(findings),
         "several": len(findings.recordings) > 1,
@@ -276,7 +252,7 @@ def _content(findings: Run) -> dict[str, Any]:
         "frames": " and ".join(sentences.learned_from(recording) for recording in findings.recordings),
         "words": sentences.words_of(first),
         "heavy": bool(np.any(first.gravity)),
-        "static": findings.posterior is not None and sentences.only_static(findings.recordings),
+        "static": posterior is not None and sentences.only_static(findings.recordings),
         "method": "" if learned is None else METHODS.get(learned.method, learned.method),
         "family": "" if learned is None else FAMILIES.get(learned.family, learned.family),
         "chosen": None if learned is None else learned.trials[learned.chosen],
@@ -284,32 +260,37 @@ def _content(findings: Run) -> dict[str, Any]:
         "verdict": verdict_of(findings),
         "warnings": [row for row in remarks if row["level"] == "warning"],
         "remarks": remarks,
-        "fit": None if findings.posterior is None else _fit(findings.posterior, findings.recordings),
-        **_stiffness_rows(findings),
-        "modulus": confidence.modulus_rows(confidence.measured_beam(findings), np.linspace(0.0, 1.0, 11)),
-        "modulus_words": confidence.modulus_words(confidence.measured_beam(findings)),
-        "one_modulus": bool(confidence.one_modulus_words(confidence.measured_beam(findings))),
+        "fit": None if posterior is None else _fit(posterior, findings.recordings),
+        "places": s,
+        "k": findings.beam.stiffness(s),
+        "band": band,
+        "halves": () if band is None else confidence.half_widths(band),
+        "regression": None if learned is None else learned.beam.stiffness(s),
+        "area": 1e6 * findings.beam.length,
+        "modulus": confidence.modulus_rows(measured, s),
+        "modulus_words": confidence.modulus_words(measured),
+        "one_modulus": bool(confidence.one_modulus_words(measured)),
         "tags": [sentences.tag_words(logged, i) for i in range(len(logged.tag_id))],
-        "swings": () if findings.posterior is None else compared_frequencies(findings.posterior.frequencies),
+        "swings": () if posterior is None else compared_frequencies(posterior.frequencies),
         "only_swings": sentences.only_frequencies(findings.recordings),
         "trainings": findings.trainings,
-        "learned_figures": _learned_captions(findings),
+        "under": [sentences.words_of(recording).under for recording in findings.recordings],
         "trials": () if learned is None else learned.trials,
         "validations": findings.validations,
-        "validation_figures": _validation_captions(findings.validations),
         "inputs": [(recording.source.name, sentences.inputs(recording)) for recording in findings.recordings],
         "assumptions": sentences.assumptions(findings),
     }
 
 
 def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, Any]:
-    unseen = unseen_place(possible(posterior))
+    unseen, critic = unseen_place(possible(posterior)), possible(posterior).criticism
     return {
         "doubts": "; ".join(posterior.doubts),
         "holds": posterior.criticism.trusted,
-        "allowances": confidence.allowance_rows(posterior),
-        "tests": confidence.model_test_rows(posterior),
-        "testable": bool(possible(posterior).criticism.able),
+        "allowances": posterior.attributions,
+        "tests": confidence.model_tests(posterior),
+        "alarms": critic.alarms,
+        "testable": bool(critic.able),
         "alarm": confidence.alarm_words(posterior),
         "unseen": "" if unseen is None else words(unseen),
         "blind": confidence.unidentified_words(posterior.stiffness, len(recordings)),
@@ -321,41 +302,8 @@ def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, 
             ]
         ),
         "stopped": confidence.stop_words(posterior),
-        "nuisances": confidence.nuisance_rows(posterior.nuisances()),
+        "units": confidence.UNITS,
+        "nuisances": posterior.nuisances(),
         "tradeoffs": confidence.tradeoff_words(posterior),
         "fitted": fitted_rms(posterior),
     }
-
-
-def _stiffness_rows(findings: Run) -> dict[str, Any]:
-    """At eleven places: k, its band, and that of the paper's regression."""
-    s, learned = np.linspace(0.0, 1.0, 11), findings.learned
-    band = None if findings.posterior is None else findings.posterior.band(s)
-    return {
-        "places": s,
-        "k": findings.beam.stiffness(s),
-        "band": band,
-        "halves": () if band is None else confidence.half_widths(band),
-        "regression": None if learned is None else learned.beam.stiffness(s),
-        "area": 1e6 * findings.beam.length,
-    }
-
-
-def _validation_captions(comparisons: Sequence[Comparison]) -> list[tuple[str, str]]:
-    captions = []
-    for i, comparison in enumerate(comparisons, start=1):
-        captions.append((f"validation-{i}-shapes", f"{comparison.name}: simulated beam and measured tags."))
-        captions.append(
-            (f"validation-{i}-residuals", f"{comparison.name}: distance between measured and simulated tags.")
-        )
-    return captions
-
-
-def _learned_captions(findings: Run) -> list[tuple[str, str]]:
-    captions = []
-    for i, comparison in enumerate(findings.trainings[1:], start=2):
-        words = sentences.words_of(findings.recordings[i - 1])
-        captions.append((f"learned-{i}-shapes", f"{comparison.name}: the beam and measured tags."))
-        captions.append((f"learned-{i}-fitted", f"{comparison.name}: what the fit leaves of the tags."))
-        captions.append((f"learned-{i}-residuals", f"{comparison.name}: measured to simulated {words.under}."))
-    return captions
