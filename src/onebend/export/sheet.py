@@ -6,7 +6,6 @@ import io
 import math
 import textwrap
 import warnings
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -111,12 +110,14 @@ def _draw_stiffness(axes: Axes, rod: RodSample) -> None:
 def _draw_modulus(axes: Axes, rod: RodSample) -> None:
     assert rod.section is not None
     found = modulus_band(rod.uncertain or rod.beam.stiffness, rod.beam.length, rod.section, _LINE)
-    values, *edges = (1e-6 * one for one in (found.modulus, found.low, found.high))
-    _draw_along(axes, rod.beam.length, "Young's modulus E(s) [MPa], from the stated section", ORANGE, values, edges)
+    values, low, high = (1e-6 * one for one in (found.modulus, found.low, found.high))
+    _draw_along(
+        axes, rod.beam.length, "Young's modulus E(s) [MPa], from the stated section", ORANGE, values, (low, high)
+    )
 
 
 def _draw_along(
-    axes: Axes, length: float, title: str, colour: str, values: Array, edges: Sequence[Array] | None
+    axes: Axes, length: float, title: str, colour: str, values: Array, edges: tuple[Array, Array] | None
 ) -> None:
     """Values along the beam with their band, if any. The axis shows all of it, up to three times the largest value."""
     places = 1e3 * length * _LINE
