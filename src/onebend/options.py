@@ -107,9 +107,11 @@ def expanded(command: Callable[..., None], name: str = "") -> Callable[..., None
 
 
 def _named(one: Parameter, kind: Any, command: str) -> Parameter:
-    """An option of a keyword, an argument of another parameter, as `options.toml` has it."""
+    """An option of a keyword, an argument of another parameter, as `options.toml` has it; what is annotated stays."""
     import typer  # here: a library that only declares options does without
 
+    if get_origin(kind) is Annotated:
+        return one.replace(annotation=kind)
     entry: Any = {**helps()["every"], **helps().get(command, {})}.get(one.name, "")
     said = dict(entry) if isinstance(entry, dict) else {"help": entry}
     names = said.pop("name", f"--{one.name.replace('_', '-')}").split()
