@@ -103,12 +103,18 @@ def known_shape(recordings: Sequence[records.Observations]) -> KnownShape | None
 
 # log k(s) as a cubic B-spline. Its prior is a sum of level and slope, a smooth part whose second derivative is white
 # noise of size `tau`, steps between coefficients, and bumps of three or four coefficients. Steps of one size `rho` are
-# a random walk, without bumps; steps of individual sizes: see `normal.py`.
+# a random walk, without bumps; steps of individual sizes: see `normal.py`. Where the film shows the body's width w, a
+# part goes with log w: of one material, k goes with the cube of w if the body is as deep everywhere, with its fourth
+# power if it is round. The power is unknown, for a body may have several materials, or a sleeve.
 
 LEVEL_SD = 4.0  # of log k: a factor of 55 either way around the start
 SLOPE_SD = 3.0  # of log k from clamp to tip: a factor of 20 either way
 TAU, RHO = 8.0, 0.3  # roughness and steps of log k that are expected, where all steps are taken to be alike
 SPREAD = 1.2  # one sd of their logs: a factor of ten either way
+POWER = 3.0  # of the width: one sd
+_WIDTH_SD = 0.005  # of the width at one place of the outline, over itself: of its white error, and of one that lasts
+_ALIKE = 0.07  # of the length, over which that error is alike (correlation 1/e)
+_SHOWN = 1e-3  # of the variance: what is left out of the errors of the width
 _DEGREE = 3
 _BUMP = 1.5 / 8.0 * np.array([1.0, 4.0, 6.0, 4.0, 1.0])  # a cubic B-spline on intervals twice as long, of height one
 _WITHIN = 20  # places of a step between two coefficients that are averaged over
@@ -119,6 +125,7 @@ class Spline:
     """`count` B-splines on equal intervals of [0, 1]."""
 
     count: int
+    besides: Array | None = field(default=None, compare=False)  # (count, n) coefficients of further parts, of sd one
 
     @cached_property
     def knots(self) -> Array:
@@ -138,11 +145,17 @@ class Spline:
 
     def variances(self, tau: float | Array, rho: float | Array) -> Array:
         """`tau.shape + (n,)` of the parts: level, slope, the smooth part's `count - 2`, `count - 1` steps, no bumps."""
-        out = np.zeros((*np.shape(tau), 3 * self.count - 1))
+        out = np.ones((*np.shape(tau), self.parts.shape[1]))
+        out[..., self.local] = 0.0
         out[..., 0], out[..., 1] = LEVEL_SD**2, SLOPE_SD**2
         out[..., 2 : self.count] = np.square(tau)[..., None]
         out[..., self.count : 2 * self.count - 1] = np.square(rho)[..., None] * self.gaps
         return out
+
+    @property
+    def local(self) -> slice:
+        """Which of the parts are steps and bumps."""
+        return slice(self.count, 3 * self.count - 1)
 
     @cached_property
     def gaps(self) -> Array:
@@ -162,7 +175,7 @@ class Spline:
         steps = np.tril(np.ones((self.count, self.count)), -1)[:, :-1]
         wide = len(_BUMP) // 2
         bumps = sum(height * np.eye(self.count, k=i - wide) for i, height in enumerate(_BUMP))
-        local = np.concatenate([steps, bumps], axis=1)
+        local = np.concatenate([steps, bumps, *(() if self.besides is None else (self.besides,))], axis=1)
         return np.concatenate(
             [line @ np.linalg.inv(both @ line), bent @ vectors / np.sqrt(values), local - level @ local], axis=1
         )
@@ -208,6 +221,26 @@ class Spline:
         nodes = (edges[:-1, None] + 0.5 * h * (x + 1.0)).ravel()
         each = np.stack([BSpline(self.knots, e, _DEGREE).derivative(2)(nodes) for e in np.eye(self.count)], axis=1)
         return np.asarray(each.T @ (np.tile(0.5 * h * w, len(edges) - 1)[:, None] * each))
+
+
+def with_width(spline: Spline, recordings: Sequence[records.Observations]) -> Spline:
+    """The spline with the parts that go with the body's width, as the recording shows it that shows most of it: its
+    log to the power `POWER`, and its errors. What is hidden of the width is interpolated as log k is (Rasmussen and
+    Williams, Gaussian Processes for Machine Learning, 2.2)."""
+    widths = [o.width for o in recordings if o.width is not None]
+    s, width = max(widths, key=len, default=np.ones((0, 2))).T
+    if not len(s):
+        return spline
+    smooth = spline.parts[:, : spline.count] * np.sqrt(spline.variances(TAU / POWER, 0.0)[: spline.count])
+    noise = _WIDTH_SD**2 * (np.eye(len(s)) + np.exp(-np.abs(s[:, None] - s) / _ALIKE))
+    seen = spline.basis(s) @ smooth
+    told = np.linalg.solve(noise, seen).T
+    root = np.linalg.cholesky(told @ seen + np.eye(spline.count))
+    inner = np.linalg.solve(root, np.column_stack([told @ np.log(width), smooth.T]))
+    errors, sizes, _ = np.linalg.svd(inner[:, 1:].T, full_matrices=False)
+    kept = np.cumsum(sizes[::-1] ** 2)[::-1] > _SHOWN * np.sum(sizes**2)
+    log_width = inner[:, 1:].T @ inner[:, 0]
+    return replace(spline, besides=POWER * np.column_stack([log_width, (errors * sizes)[:, kept]]))
 
 
 # The beam's mass: weight alone tells only mu / k; a force of known size tells both.
