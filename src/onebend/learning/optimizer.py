@@ -608,8 +608,9 @@ def first_problem(
     recordings: Sequence[Observations], start: Profile | float, settings: FitSettings
 ) -> tuple[linear.FitProblem, Array]:
     """The problem with a few frames of some recordings, and the initial parameters (P,)."""
-    spline = parameters.with_width(parameters.Spline(settings.functions), recordings)
-    most = min(settings.first_frames, settings.most_frames)
+    spline, most = parameters.Spline(settings.functions), min(settings.first_frames, settings.most_frames)
+    if widths := [o.width for o in recordings if o.width is not None and len(o.width)]:
+        spline = parameters.with_width(spline, max(widths, key=len))
     data, layout = _prepared(recordings, [chosen_frames(o, most) for o in recordings], spline, settings)
     noise = tuple(expected_recording_noise(d) for d in data)
     x, level = starting(layout, start)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -112,8 +113,10 @@ SLOPE_SD = 3.0  # of log k from clamp to tip: a factor of 20 either way
 TAU, RHO = 8.0, 0.3  # roughness and steps of log k that are expected, where all steps are taken to be alike
 SPREAD = 1.2  # one sd of their logs: a factor of ten either way
 POWER = 3.0  # of the width: one sd
-_WIDTH_SD = 0.005  # of the width at one place of the outline, over itself: of its white error, and of one that lasts
-_ALIKE = 0.07  # of the length, over which that error is alike (correlation 1/e)
+# Of the width that an outline shows, over itself: one sd of a white error at every place, and of one that is alike over
+# `_ALIKE`; and its roughness. The likeliest of each is taken.
+_WIDTH_SD, _ROUGH = (0.002, 0.004, 0.008, 0.016, 0.032), (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+_ALIKE = 0.07  # of the length
 _SHOWN = 1e-3  # of the variance: what is left out of the errors of the width
 _DEGREE = 3
 _BUMP = 1.5 / 8.0 * np.array([1.0, 4.0, 6.0, 4.0, 1.0])  # a cubic B-spline on intervals twice as long, of height one
@@ -223,24 +226,28 @@ class Spline:
         return np.asarray(each.T @ (np.tile(0.5 * h * w, len(edges) - 1)[:, None] * each))
 
 
-def with_width(spline: Spline, recordings: Sequence[records.Observations]) -> Spline:
-    """The spline with the parts that go with the body's width, as the recording shows it that shows most of it: its
-    log to the power `POWER`, and its errors. What is hidden of the width is interpolated as log k is (Rasmussen and
-    Williams, Gaussian Processes for Machine Learning, 2.2)."""
-    widths = [o.width for o in recordings if o.width is not None]
-    s, width = max(widths, key=len, default=np.ones((0, 2))).T
-    if not len(s):
-        return spline
-    smooth = spline.parts[:, : spline.count] * np.sqrt(spline.variances(TAU / POWER, 0.0)[: spline.count])
-    noise = _WIDTH_SD**2 * (np.eye(len(s)) + np.exp(-np.abs(s[:, None] - s) / _ALIKE))
-    seen = spline.basis(s) @ smooth
-    told = np.linalg.solve(noise, seen).T
-    root = np.linalg.cholesky(told @ seen + np.eye(spline.count))
-    inner = np.linalg.solve(root, np.column_stack([told @ np.log(width), smooth.T]))
-    errors, sizes, _ = np.linalg.svd(inner[:, 1:].T, full_matrices=False)
-    kept = np.cumsum(sizes[::-1] ** 2)[::-1] > _SHOWN * np.sum(sizes**2)
-    log_width = inner[:, 1:].T @ inner[:, 0]
-    return replace(spline, besides=POWER * np.column_stack([log_width, (errors * sizes)[:, kept]]))
+def with_width(spline: Spline, seen: Array) -> Spline:
+    """The spline with the parts that go with the body's width, `seen` as `Observations.width`: `POWER` times its log,
+    and its errors. The log is smooth as that of k, by as much as it shows; where it is hidden, it is interpolated so
+    (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2.2 and 5.4)."""
+    s, log_width = seen[:, 0], np.log(seen[:, 1])
+    parts = spline.parts[:, : spline.count]
+    there, alike = spline.basis(s) @ parts, np.eye(len(s)) + np.exp(-np.abs(s[:, None] - s) / _ALIKE)
+
+    def known(tau: float, noise: float) -> tuple[float, Array, Array]:
+        """Log evidence of these sizes, and mean (p,) and covariance (p, p) of the coefficients."""
+        before = spline.variances(tau, 0.0)[: spline.count]
+        root = np.linalg.cholesky((there * before) @ there.T + noise**2 * alike)
+        white = np.linalg.solve(root, np.column_stack([log_width, there * before @ parts.T]))
+        log_evidence = -0.5 * float(white[:, 0] @ white[:, 0]) - float(np.sum(np.log(np.diag(root))))
+        covariance = (parts * before) @ parts.T - white[:, 1:].T @ white[:, 1:]
+        return log_evidence, white[:, 1:].T @ white[:, 0], covariance
+
+    _, mean, covariance = max((known(*sizes) for sizes in product(_ROUGH, _WIDTH_SD)), key=lambda one: one[0])
+    values, vectors = np.linalg.eigh(covariance)
+    kept = np.cumsum(np.maximum(values, 0.0)) > _SHOWN * np.sum(values)
+    errors = vectors[:, kept] * np.sqrt(values[kept])
+    return replace(spline, besides=POWER * np.column_stack([mean, errors]))
 
 
 # The beam's mass: weight alone tells only mu / k; a force of known size tells both.
