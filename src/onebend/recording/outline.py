@@ -417,7 +417,7 @@ def track_of(
     strays = np.stack([jumps(points.px[:, i], STRAY) for i in range(POINTS)], axis=1)
     points = often_seen(replace(points, sd=np.where(strays, np.nan, points.sd)))
     points = with_end(points, middle, place, shift, at_end)
-    both = np.isfinite(found.away).all(axis=1).mean(axis=0) > LEAST_SHARE
+    both = (np.isfinite(found.away).all(axis=1).mean(axis=0) > LEAST_SHARE) & (middle.width > 0.0)
     width = np.column_stack([place.stations.s, middle.width])[both]
     return replace(points, width=width, remarks=(*points.remarks, *width_remarks(place, half), *lost_remarks(found)))
 
