@@ -75,18 +75,17 @@ def cost_of(folder: Path, repeats: int, at_pace: bool) -> Cost:
     if at_pace:
         with Live(folder) as beside:
             paced = follow(beside, arrivals, at_pace=True)
-    runs, reviews = [], []
+    runs = []
     for _ in range(repeats):
         live = Live(folder, beside=False)
         runs.append(follow(live, arrivals))
-        reviews.append(live.review_seconds)
     last = live.state().stiffness
     return Cost(
         name=folder.name.replace("_", " "),
         seconds=float(arrivals[-1].at),
         cost=np.min([run.frame + run.force for run in runs], axis=0),
         latency=np.min([run.latency for run in runs], axis=0),
-        reviews=min(reviews),
+        reviews=min(run.reviews for run in runs),
         last=np.nan if last is None else float(np.median(last.log_at(S)[1] / sd_of(learned)[1])),
         paced=paced,
     )

@@ -6,6 +6,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -44,6 +45,7 @@ class Arrival:
     picture: Picture | None = None
     rows: Array = field(default_factory=lambda: np.empty((0, 2)))  # (n, 2) N, or with the place of the push (n, 3)
     number: int = -1  # of the picture in its film
+    colour: Any = None  # of the picture, as of `FilmFrame`
 
 
 def play(
@@ -88,6 +90,7 @@ def _sent(
             stamp=np.array(frame.time + how.frame_jitter * rng.normal()),
             picture=frame.luma,
             number=frame.index,
+            colour=frame.colour,
         )
         times = 0 if rng.random() < how.frames_lost else 1 + int(rng.random() < how.frames_twice)
         yield frame.time, [arrival] * times
@@ -145,7 +148,7 @@ class DisturbedCamera(PlayedCamera):
         arrivals = play(self._frames, nothing, 0.0, self._how, seed=self._seed)
         for stamp, at, one in self._own.stamped(arrivals, self._seed):
             assert one.picture is not None
-            yield Frame(one.picture, float(stamp), at, one.number)
+            yield Frame(one.picture, float(stamp), at, one.number, one.colour)
 
 
 class DisturbedForce(PlayedForce):

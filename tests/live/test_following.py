@@ -52,7 +52,7 @@ def followed(wrong: float, sd: float, seconds: float = 4.0, gap: float = 0.0, la
     [s] from 2 s on, and all its samples are `late` [s]. With how long each frame waited, and what it was taught."""
     log = ForceHistory(10_000)
     following, learner = Following(log, 2.0, 1000), Learner()
-    following.learning = Learning(Reader(AHEAD + wrong, sd), learner)  # type: ignore[arg-type]
+    following.learning = Learning(Reader(AHEAD + wrong, sd), learner, -np.inf)  # type: ignore[arg-type]
     samples = [t for t in np.arange(-1.0, seconds, 1.0 / RATE).tolist() if not 2.0 <= t < 2.0 + gap]
     frames = np.arange(0.0, seconds, 1.0 / FPS).tolist()
     events = sorted([(t + late, 0, t) for t in samples] + [(t + 0.005, 1, t) for t in frames])

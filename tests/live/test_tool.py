@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from onebend.live.live import Live, LiveSettings, seen_by
+from onebend.live.live import Live, LiveSettings
 from onebend.live.review import Seen, observed_in
 from onebend.recording.entries import PushEntry
 from onebend.recording.plane import to_plane
@@ -48,12 +48,12 @@ def streamed() -> Seen:
     film = [replace(one, luma=with_tool(one.luma, one.time)) for one in frames()]
     live = Live(described(), settings=LiveSettings(first_review=np.inf), beside=False)
     follow(live, play(film, log(), OFFSET))
-    return seen_by(live)
+    return live._seen()
 
 
 def test_the_place_of_the_push_is_seen_as_in_a_film() -> None:
     assert observed_in(streamed()).source.place_seen
-    assert not observed_in(replace(streamed(), pictures=None)).source.place_seen
+    assert not observed_in(replace(streamed(), pictures={})).source.place_seen
 
 
 def test_another_place_is_warned_of() -> None:

@@ -107,6 +107,13 @@ def riding_beyond(nodes: Array, masses: tuple[PointMass, ...]) -> Array:
     return out
 
 
+def _mass_beyond(beam: Rod, grid: Grid) -> Array:
+    """(..., Q) kg beyond each node, with point masses."""
+    line = beam.length * np.asarray(beam.mass_per_length(grid.nodes), dtype=float)
+    own = np.sum(grid.weights * line, axis=-1)[..., None] - apply(grid.integral_to_nodes, line)
+    return np.asarray(own + riding_beyond(grid.nodes, beam.masses))
+
+
 def share_farther(problem: Problem, push_s: Array) -> Array:
     """(F, Q) 1/m: a force d metres beyond `push_s` along the tangent adds d times this to its share beyond each node.
 
@@ -341,25 +348,20 @@ class Problem:
         return replace(self, dead_force=f[..., None] * self.dead_force, moment=f * self.moment)
 
     def take(self, chosen: IntArray | BoolArray) -> Problem:
+        """Some of the frames."""
+        values = ((name, plain, getattr(self, name)) for name, plain in _PLAIN.items())
+        picked: dict[str, Any] = {name: x[chosen] for name, plain, x in values if x is not None and x.ndim > plain}
+        if self.grid.edges.ndim > 1:
+            picked["grid"] = Grid(self.grid.edges[chosen], self.grid.order)
+        return replace(self, section=None if self.section is None else self.section.take(chosen), **picked)
 
-        def pick(x: Array, plain: int) -> Array:
-            return x[chosen] if x.ndim > plain else x
 
-        return Problem(
-            grid=self.grid if self.grid.edges.ndim == 1 else Grid(self.grid.edges[chosen], self.grid.order),
-            weights=pick(self.weights, 1),
-            to_nodes=pick(self.to_nodes, 2),
-            length=pick(self.length, 0),
-            k=pick(self.k, 1),
-            q0=pick(self.q0, 1),
-            alpha0=pick(self.alpha0, 0),
-            dead_force=self.dead_force[chosen],
-            moment=self.moment[chosen],
-            section=None if self.section is None else self.section.take(chosen),
-            modes=self.modes,
-            stretch=self.stretch if self.stretch is None else pick(self.stretch, 1),
-            shear=self.shear if self.shear is None else pick(self.shear, 1),
-        )
+# Axes of the arrays of a `Problem` that are the same in all frames.
+_PLAIN = {
+    **dict.fromkeys(("length", "alpha0", "dead_force", "moment"), 0),
+    **dict.fromkeys(("weights", "k", "q0", "stretch", "shear"), 1),
+    "to_nodes": 2,
+}
 
 
 def remembered(beam: Rod, loads: Loads, resolution: Resolution) -> NodalBeam | None:
@@ -376,11 +378,9 @@ def remembered(beam: Rod, loads: Loads, resolution: Resolution) -> NodalBeam | N
         nodes, weights, to_nodes = grid.nodes, grid.weights, grid.integral_to_nodes
         k = np.asarray(beam.stiffness(nodes), dtype=float)
         check_positive(k, nodes)
-        line = beam.length * np.asarray(beam.mass_per_length(nodes), dtype=float)
         q0 = np.asarray(beam.rest_curvature(nodes), dtype=float)
-        mass_beyond = np.sum(weights * line) - to_nodes @ line + riding_beyond(nodes, beam.masses)
         loaded = (*places, *(one.s for one in beam.masses))
-        return NodalBeam(grid, nodes, weights, to_nodes, k, q0, mass_beyond, loaded)
+        return NodalBeam(grid, nodes, weights, to_nodes, k, q0, _mass_beyond(beam, grid), loaded)
 
     return beam.memory.nodal((*places, resolution), make)
 
@@ -423,11 +423,8 @@ def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = R
     check_positive(k, nodes)
     length = np.asarray(beams[0].length) if shared else np.array([[b.length] for b in beams])
     alpha0 = np.asarray(beams[0].clamp_angle) if shared else np.array([[b.clamp_angle] for b in beams])
-    mass_beyond = np.zeros(nodes.shape)
-    if np.any(loads.gravity != 0.0):
-        line = length * _stack([np.asarray(b.mass_per_length(nodes)) for b in beams])
-        mass_beyond = np.sum(weights * line, axis=-1)[..., None] - apply(to_nodes, line)
-        mass_beyond = mass_beyond + _stack([riding_beyond(nodes, b.masses) for b in beams])
+    heavy = bool(np.any(loads.gravity != 0.0))
+    mass_beyond = _stack([_mass_beyond(b, grid) for b in beams]) if heavy else np.zeros(nodes.shape)
     return Problem(
         grid=grid,
         weights=weights,

@@ -132,7 +132,7 @@ class Eye:
             base_s=np.array([tag.s * rec.beam.length for tag in rec.tags.on_base]),
             follows_base=False, known_xy=markers.xy[:1], camera_part=np.asarray(shared), rest_xy=xy,
             rest_sd=self.rest_noise, to_beam=sign * to_beam(rec.force.rotation), tare=np.zeros(2), place=rec.push.at,
-            gravity=np.asarray(gravity), largest=0.0,
+            gravity=np.asarray(gravity), largest=0.0, traced=np.zeros(len(xy), dtype=bool),
         )  # fmt: skip
 
     def beam(self, arrival: float, corners: Array) -> SeenBeam:

@@ -59,9 +59,7 @@ class BenchCamera:
         tags, flat = self.faces(poses), np.zeros(len(filming.PLACES))
         turn = math.atan2(force[1], force[0]) if float(np.hypot(*force)) > 1e-3 else 0.5 * math.pi
         cast = replace(self._cast, push=replace(self._cast.push, direction=turn, turn=0.0))
-        drawing = filming.moment_of(
-            cast, filming.BeamPose(time, poses[:, :2], poses[:, 2], tags, flat, self._cast.push.at_s)
-        )
+        drawing = filming.moment_of(cast, time, np.column_stack([poses, flat]), tags, self._cast.push.at_s)
         y = self._tables[int(self._rng.integers(_TABLES))].copy()
         self._draw(y, drawing)
         return y

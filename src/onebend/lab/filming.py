@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from fractions import Fraction
 from functools import cache
 from math import isfinite, nan, pi
@@ -124,7 +124,6 @@ class Filming:
     tag_size: float = 0.012  # m
     log_rotation: float = 0.0  # rad, the log's x axis from the beam's
     log_of_robot: bool = False  # the log shows the reaction
-    log_before: float = 1.0  # s, before and after the film
     sensor_name: str = ""
     zeroed: bool = False
     calibrated: bool = True  # whether the calibration is given
@@ -175,12 +174,12 @@ class TagOutlines:
 
 
 @cache
-def outlines(tag_id: int, family: str = FAMILIES[0], margin: float = 1.0) -> TagOutlines:
-    """Outlines on paper at least `margin` cells wider per side than the detected square. Raises `RecordingError`:
-    unknown family or id."""
+def outlines(tag_id: int, family: str = FAMILIES[0]) -> TagOutlines:
+    """Outlines on paper at least a cell wider per side than the detected square. Raises `RecordingError`: unknown
+    family or id."""
     tag = tag_finder.printed_tag(tag_id, family)
     count = len(tag.cells)
-    beyond = max(margin - tag.margin, 0.0)
+    beyond = max(1.0 - tag.margin, 0.0)
     scale, middle = np.array([1.0, -1.0]) / tag.border, 0.5 * count
     paper = (rectangle(-beyond, count + beyond, -beyond, count + beyond) - middle) * scale
     return TagOutlines(paper[None], (tag.ink - middle) * scale)
@@ -229,18 +228,6 @@ class MovingScene:
     base_angle: float  # rad: the clamp's frame in the room
 
 
-@dataclass(frozen=True)
-class BeamPose:
-    """Beam and tags at one moment, in the room."""
-
-    time: float  # s
-    xy: Array  # (S, 2) m
-    angle: Array  # (S,) rad
-    tags: Array  # (m, 6) x, y, angle, z, tilts
-    height: Array  # (S,) m over the table's plane
-    contact: float  # s, the tool's place
-
-
 def clamp_block(scene: rendering.Scene, base_angle: float) -> rendering.Drawing:
     """The clamp block, which ends at the base."""
     length, width = CLAMP
@@ -255,25 +242,27 @@ def clamp_block(scene: rendering.Scene, base_angle: float) -> rendering.Drawing:
     return rendering.Drawing([rendering.Shadow(outer + SHADOW, soft=6.0)], layers)
 
 
-def moment_of(cast: MovingScene, pose: BeamPose) -> rendering.Drawing:
-    scene, tool = cast.scene, tool_outline(cast, pose)
+def moment_of(cast: MovingScene, time: float, beam: Array, tags: Array, contact: float) -> rendering.Drawing:
+    """At `time` [s], as one moment of `Filmed`."""
+    scene, tool = cast.scene, tool_outline(cast, time, beam, contact)
     above = scene.overlap > 0.0  # otherwise it pushes the flank, and its upper edge is half a width below the tags
     lower = rendering.lifted(tool, np.full(len(tool), -0.5 * scene.tool_width))
     layers = [] if above else [rendering.ColourLayer(lower, scene.tool)]
-    layers += [
-        rendering.ColourLayer(strip(part, share * width), dimmed(scene.beam, bright))
+    parts = [slice(first, first + PIECE + 2) for first in range(0, len(beam) - 1, PIECE)]
+    layers += [  # in overlapping pieces, so that no seam shows
+        rendering.ColourLayer(strip(beam[part], share * cast.half_width[part]), dimmed(scene.beam, bright))
         for share, bright in STRIPS
-        for part, width in pieces(pose, cast.half_width)
+        for part in parts
     ]
-    for tag, at in zip(cast.tags, pose.tags, strict=True):
+    for tag, at in zip(cast.tags, tags, strict=True):
         layers.append(rendering.ColourLayer(rendering.placed_in_space(tag.paper, at), grey(scene.paper)))
         layers.append(rendering.ColourLayer(rendering.placed_in_space(tag.ink, at), grey(scene.ink)))
     if above:
         layers.append(rendering.ColourLayer(tool, scene.tool))
-    if abs(pose.time - scene.hand_at) < HAND_TIME:
-        layers.append(rendering.ColourLayer(hand_outline(pose, scene.hand_at), scene.hand))
+    if abs(time - scene.hand_at) < HAND_TIME:
+        layers.append(rendering.ColourLayer(hand_outline(beam, time - scene.hand_at), scene.hand))
     shadows = [
-        rendering.Shadow(strip(pose, cast.half_width)[:, :2] + SHADOW),
+        rendering.Shadow(strip(beam, cast.half_width)[:, :2] + SHADOW),
         rendering.Shadow(tool + SHADOW, density=0.3),
     ]
     return rendering.Drawing(shadows, layers)
@@ -292,16 +281,6 @@ def over_rows(drawings: Sequence[rendering.Drawing], shift: Array, rows: int) ->
     return rendering.Drawing(shadows, layers, shift, rows)
 
 
-def pieces(pose: BeamPose, half_width: Array) -> list[tuple[BeamPose, Array]]:
-    """The beam in overlapping pieces, so that no seam shows."""
-    out = []
-    for first in range(0, len(half_width) - 1, PIECE):
-        part = slice(first, first + PIECE + 2)
-        cut = replace(pose, xy=pose.xy[part], angle=pose.angle[part], height=pose.height[part])
-        out.append((cut, half_width[part]))
-    return out
-
-
 def grey(level: float) -> rendering.Colour:
     return (level, level, level)
 
@@ -310,39 +289,39 @@ def dimmed(colour: rendering.Colour, share: float) -> rendering.Colour:
     return (colour[0] * share, colour[1] * share, colour[2] * share)
 
 
-def strip(pose: BeamPose, half_width: Array) -> Array:
-    """Outline (2 S, 2) m, or (2 S, 3)."""
-    left = half_width[:, None] * np.stack([-np.sin(pose.angle), np.cos(pose.angle)], axis=-1)
-    outline = np.concatenate([pose.xy - left, (pose.xy + left)[::-1]])
-    return rendering.lifted(outline, np.concatenate([pose.height, pose.height[::-1]]))
+def strip(beam: Array, half_width: Array) -> Array:
+    """Outline (2 S, 2) m, or (2 S, 3), of the beam (S, 4)."""
+    xy, angle, height = beam[:, :2], beam[:, 2], beam[:, 3]
+    left = half_width[:, None] * np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
+    outline = np.concatenate([xy - left, (xy + left)[::-1]])
+    return rendering.lifted(outline, np.concatenate([height, height[::-1]]))
 
 
-def tool_outline(cast: MovingScene, pose: BeamPose) -> Array:
+def tool_outline(cast: MovingScene, time: float, beam: Array, contact: float) -> Array:
     """A chamfered bar; its end touches the beam's edge where the line of the force to the push leaves the beam. It
     waits aside before and after."""
-    push, places = cast.push, np.linspace(0.0, 1.0, len(pose.xy))
-    angle = float(push.angle(np.array([pose.time]))[0]) + cast.base_angle
+    push, places = cast.push, np.linspace(0.0, 1.0, len(beam))
+    angle = float(push.angle(np.array([time]))[0]) + cast.base_angle
     along = np.array([np.cos(angle), np.sin(angle)])
-    touch = np.array([np.interp(pose.contact, places, pose.xy[:, i]) for i in range(2)])
-    lean = angle - float(np.interp(pose.contact, places, pose.angle))
-    half = float(np.interp(pose.contact, places, cast.half_width)) / max(abs(math.sin(lean)), STEEPEST)
+    *touch, turn = (np.interp(contact, places, beam[:, i]) for i in range(3))
+    half = float(np.interp(contact, places, cast.half_width)) / max(abs(math.sin(angle - turn)), STEEPEST)
     begin, end = push.contact
-    away = smooth(np.array([(begin - pose.time) / APPROACH]))[0]
+    away = smooth(np.array([(begin - time) / APPROACH]))[0]
     if push.after > 0.0:
-        away = away + smooth(np.array([(pose.time - end) / APPROACH]))[0]
-    tip = touch + along * (cast.scene.overlap - half - RETREAT * away)
+        away = away + smooth(np.array([(time - end) / APPROACH]))[0]
+    tip = np.array(touch) + along * (cast.scene.overlap - half - RETREAT * away)
     wide, cut = 0.5 * cast.scene.tool_width, 0.25 * cast.scene.tool_width
     bar = np.array([[0, -wide + cut], [0, wide - cut], [-cut, wide], [-TOOL_LENGTH, wide]])
     bar = np.concatenate([bar, [[-TOOL_LENGTH, -wide], [-cut, -wide]]])
     return placed(bar, np.array([tip[0], tip[1], angle + cast.scene.slant]))
 
 
-def hand_outline(pose: BeamPose, at: float) -> Array:
-    """A blunt shape crossing the beam's middle."""
+def hand_outline(beam: Array, since: float) -> Array:
+    """A blunt shape crossing the beam's middle, `since` [s]."""
     turn = np.linspace(0.0, 2.0 * np.pi, 41)[:-1]
     bump = 1.0 + 0.12 * np.cos(5.0 * turn)
     shape = bump[:, None] * np.stack([HAND[0] * np.cos(turn), HAND[1] * np.sin(turn)], axis=-1)
-    middle = pose.xy[len(pose.xy) // 2] + np.array([0.3, 1.0]) * HAND_SPEED * (pose.time - at)
+    middle = beam[len(beam) // 2, :2] + np.array([0.3, 1.0]) * HAND_SPEED * since
     return placed(shape, np.array([middle[0], middle[1], 1.2]))
 
 
@@ -496,7 +475,14 @@ class Filmed:
     contact: Array  # (T,) s, place of the tool
 
     def part(self, which: slice) -> Filmed:
-        return Filmed(*(getattr(self, one.name)[which] for one in fields(self)))
+        return Filmed(*(values[which] for values in vars(self).values()))
+
+    def at(self, u: float) -> tuple[Array, Array, float]:
+        """Beam (121, 4), tags (m + 1, 6) and contact at moment `u` of one exposure, by a parabola through its begin,
+        middle and end."""
+        weights = np.array([0.5 * u * (u - 1.0), 1.0 - u * u, 0.5 * u * (u + 1.0)])
+        beam, tags = (np.tensordot(weights, values, 1) for values in (self.beam, self.tags))
+        return beam, tags, float(weights @ self.contact)
 
 
 def followed(filming: Filming, until: float) -> RodMotion | None:
@@ -542,64 +528,49 @@ def in_room(pose: Array, base_angle: float) -> Array:
 S = np.linspace(0.0, 1.0, 401)
 
 
-@dataclass(frozen=True)
-class FilmTruth:
-    filming: Filming
-    shown: Filmed  # at the frames' first rows
-    motion: RodMotion | None
-    moved: Array  # (T, 2) px, shift of the picture
-    view: View
-    log: ForceLog  # as written
-    clean: ForceLog  # without sensor errors
-    seed: int
-
-
-def write_truth(folder: Path, made: FilmTruth) -> None:
-    """Write `truth.npz` and `truth.json` into the new `folder`. For comparison only: learning never reads them."""
+def write_truth(folder: Path, facts: Mapping[str, Any], **arrays: Any) -> None:
+    """Write `truth.npz` and `truth.json` into the `folder`. For comparison only: learning never reads them."""
     folder.mkdir(parents=True, exist_ok=True)
-    filming, shown = made.filming, made.shown
-    beam = filming.bench.beam
-    truth = virtual.true_stiffness(filming.bench, made.motion, S)
-    np.savez_compressed(
-        folder / "truth.npz",
-        s=S,
-        k=truth.k,
-        k_instant=truth.k_instant,
-        k_bare=truth.k_bare,
-        EI=truth.k * beam.length,
-        width=np.asarray(filming.width(S)),
-        rhoA=np.asarray(beam.mass_per_length(S)),
-        kappa0=rest_curvature(beam, filming.bench.effects, S) / beam.length,
-        t_frame=shown.time,
-        s_shape=PLACES,
-        x=shown.poses[..., 0],
-        y=shown.poses[..., 1],
-        alpha=shown.poses[..., 2],
-        F=filming.bench.push.force(shown.time),
-        s_a=shown.contact,
-        z=shown.beam[..., 3],
-        camera_px=made.moved,
-        base=np.full(len(shown.time), filming.base_angle),
-        tag_id=np.array([0, *(tag.id for tag in filming.bench.tags)], dtype=np.int64),
-        tag_xya=shown.tags[..., :3],
-        tag_xyaz=shown.tags[..., :4],
-        tag_tilts=shown.tags[..., 4:],
-        log_t=made.log.time,
-        log_F=made.clean.force,
-    )
-    text = json.dumps(plain(facts_of(made)), indent=1, allow_nan=False)
+    np.savez_compressed(folder / "truth.npz", **arrays)
+    text = json.dumps(plain(facts), indent=1, allow_nan=False)
     (folder / "truth.json").write_text(text + "\n", encoding="utf-8")
 
 
-def facts_of(made: FilmTruth) -> dict[str, Any]:
+def shown_truth(filming: Filming, shown: Filmed, motion: RodMotion | None) -> dict[str, Array]:
+    """Of beam and tags at the frames' first rows."""
+    beam, truth = filming.bench.beam, virtual.true_stiffness(filming.bench, motion, S)
+    return {
+        "s": S,
+        "k": truth.k,
+        "k_instant": truth.k_instant,
+        "k_bare": truth.k_bare,
+        "EI": truth.k * beam.length,
+        "width": np.asarray(filming.width(S)),
+        "rhoA": np.asarray(beam.mass_per_length(S)),
+        "kappa0": rest_curvature(beam, filming.bench.effects, S) / beam.length,
+        "t_frame": shown.time,
+        "s_shape": PLACES,
+        "x": shown.poses[..., 0],
+        "y": shown.poses[..., 1],
+        "alpha": shown.poses[..., 2],
+        "F": filming.bench.push.force(shown.time),
+        "s_a": shown.contact,
+        "z": shown.beam[..., 3],
+        "base": np.full(len(shown.time), filming.base_angle),
+        "tag_id": np.array([0, *(tag.id for tag in filming.bench.tags)], dtype=np.int64),
+        "tag_xya": shown.tags[..., :3],
+        "tag_xyaz": shown.tags[..., :4],
+        "tag_tilts": shown.tags[..., 4:],
+    }
+
+
+def facts_of(filming: Filming, view: View, motion: RodMotion | None, seed: int) -> dict[str, Any]:
     """Contents of `truth.json`."""
-    filming, view = made.filming, made.view
-    bench = filming.bench
-    clock = bench.clock
+    bench, clock = filming.bench, filming.bench.clock
     return {
         "beam": bench.name,
         "L": bench.beam.length,
-        "seed": made.seed,
+        "seed": seed,
         "eta": filming.damping,
         "s_a": bench.push.at_s,
         "clock": {
@@ -618,7 +589,7 @@ def facts_of(made: FilmTruth) -> dict[str, Any]:
         "force": {**asdict(bench.sensor), "rotation": filming.log_rotation, "reaction": filming.log_of_robot},
         "gravity": {"magnitude": filming.gravity, "base_angle": filming.base_angle},
         "effects": asdict(bench.effects),
-        "secant_modulus": 1.0 if made.motion is None else made.motion.secant,
+        "secant_modulus": 1.0 if motion is None else motion.secant,
     }
 
 
@@ -626,18 +597,6 @@ STEPS = 0.7  # px: largest motion between two drawn moments of an exposure
 MOST_MOMENTS = 8
 INCH = 0.0254  # m
 SHARPEST = 0.8  # least bend radius in half widths
-
-
-@dataclass(frozen=True)
-class Shot:
-    """Data of all frames: three moments of each exposure, at its begin, middle and end."""
-
-    staged: rendering.StaticScene
-    cast: MovingScene
-    # (3 T,) each: as the first, middle and last row is exposed; one if all rows are at once
-    at_rows: tuple[Filmed, ...]
-    camera: CameraMotion
-    readout: float  # s, first to last row
 
 
 @one_blas_thread
@@ -661,8 +620,8 @@ def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress 
     view = rendering.view_from(filming.camera, to_be_seen(cast, moments))
     staged = stage_of(filming, cast, view, moments.beam, seed)
     folder.mkdir(parents=True, exist_ok=True)
-    shot = Shot(staged, cast, (moments, *later), camera_moves, readout)
-    frames = pictures(shot, time, np.random.default_rng([seed, 0]))
+    rng = np.random.default_rng([seed, 0])
+    frames = pictures(staged, cast, camera_moves, [moments, *later], time, readout, rng)
     camera = filming.camera
     write_video(
         folder / "video.mp4",
@@ -674,9 +633,9 @@ def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress 
     log, clean = force_log(filming, motion, np.random.default_rng([seed, 1]))
     write_log(folder / "force.csv", log)
     (folder / FILE_NAME).write_text(recording_toml(entries(filming, folder)), encoding="utf-8")
-    shown = moments.part(slice(1, None, 3))
-    moved = camera_moves.shift(time)
-    write_truth(folder / "truth", FilmTruth(filming, shown, motion, moved, view, log, clean, seed))
+    told = shown_truth(filming, moments.part(slice(1, None, 3)), motion)
+    told |= {"camera_px": camera_moves.shift(time), "log_t": log.time, "log_F": clean.force}
+    write_truth(folder / "truth", facts_of(filming, view, motion, seed), **told)
     return folder
 
 
@@ -726,42 +685,41 @@ def stage_of(filming: Filming, cast: MovingScene, view: View, beam: Array, seed:
     return rendering.stage(filming.scene, view, (filming.camera.width, filming.camera.height), still, moving, seed)
 
 
-def pictures(shot: Shot, time: Array, rng: np.random.Generator) -> Iterator[tuple[float, rendering.Picture]]:
+def pictures(
+    staged: rendering.StaticScene,
+    cast: MovingScene,
+    camera: CameraMotion,
+    at_rows: Sequence[Filmed],
+    time: Array,
+    readout: float,
+    rng: np.random.Generator,
+) -> Iterator[tuple[float, rendering.Picture]]:
+    """The frames at `time` (T,) [s]. `at_rows`: the begin, middle and end of each exposure (3 T,), as the first, middle
+    and last row is exposed, `readout` [s] apart; one if all rows are at once."""
+    rows = staged.table.y.shape[0]
     for i, now in enumerate(time.tolist()):
-        part = slice(3 * i, 3 * i + 3)
-        exposure = replace(shot, at_rows=tuple(one.part(part) for one in shot.at_rows))
-        yield now, rendering.frame_of(shot.staged, [drawn(exposure, now, u) for u in moments_of(exposure)], now, rng)
+        exposure = [one.part(slice(3 * i, 3 * i + 3)) for one in at_rows]
+        drawings = []
+        for u in moments_of(staged.view, exposure[0]):
+            when = now + 0.5 * u * cast.scene.exposure + readout * np.array([0.0, 0.5, 1.0])
+            drawn = [moment_of(cast, t, *one.at(u)) for one, t in zip(exposure, when.tolist(), strict=False)]
+            still = len(drawn) == 1 and camera.still
+            drawings.append(drawn[0] if still else over_rows(drawn, camera.shift(when), rows))
+        yield now, rendering.frame_of(staged, drawings, now, rng)
 
 
-def moments_of(shot: Shot) -> list[float]:
+def moments_of(view: View, exposure: Filmed) -> list[float]:
     """Moments of one exposure that are drawn, -1 at its begin and 1 at its end."""
-    tags, beam = shot.at_rows[0].tags, shot.at_rows[0].beam
-    ends = plane.project(shot.staged.view, np.concatenate([tags[[0, 2], :, :2], beam[[0, 2], ::30, :2]], axis=1))
+    tags, beam = exposure.tags, exposure.beam
+    ends = plane.project(view, np.concatenate([tags[[0, 2], :, :2], beam[[0, 2], ::30, :2]], axis=1))
     moved = float(np.max(np.abs(ends[1] - ends[0])))
     count = int(np.clip(np.ceil(moved / STEPS), 1, MOST_MOMENTS))
     return [(2.0 * i + 1.0) / count - 1.0 for i in range(count)]
 
 
-def drawn(shot: Shot, time: float, u: float) -> rendering.Drawing:
-    """The drawing at moment `u` of an exposure, by a parabola through its begin, middle and end."""
-    weights = np.array([0.5 * u * (u - 1.0), 1.0 - u * u, 0.5 * u * (u + 1.0)])
-    now = time + 0.5 * u * shot.cast.scene.exposure
-
-    def at(moments: Filmed, when: float) -> rendering.Drawing:
-        beam, tags = np.tensordot(weights, moments.beam, 1), np.tensordot(weights, moments.tags, 1)
-        contact = float(weights @ moments.contact)
-        return moment_of(shot.cast, BeamPose(when, beam[:, :2], beam[:, 2], tags, beam[:, 3], contact))
-
-    when = now + shot.readout * np.array([0.0, 0.5, 1.0])
-    drawings = [at(moments, moment) for moments, moment in zip(shot.at_rows, when.tolist(), strict=False)]
-    if len(drawings) == 1 and shot.camera.still:
-        return drawings[0]
-    return over_rows(drawings, shot.camera.shift(when), shot.staged.table.y.shape[0])
-
-
 def force_log(filming: Filming, motion: RodMotion | None, rng: np.random.Generator) -> tuple[ForceLog, ForceLog]:
     """The sensor's log and the true force on its clock, both in the log's axes and sign."""
-    bench, margin = filming.bench, filming.log_before
+    bench, margin = filming.bench, virtual.LOG_BEFORE
     step = min(virtual.DENSE, 0.5 / bench.sensor.rate)
     dense = np.arange(-margin, bench.push.duration + margin, step)
     acts_on = "robot" if filming.log_of_robot else "beam"
@@ -845,7 +803,9 @@ def marker_recording(bench: virtual.VirtualBench, folder: Path | str, *, seed: i
         force=replace(told.force, file=folder / "force.csv"),
     )
     (folder / FILE_NAME).write_text(recording_toml(entry), encoding="utf-8")
-    _write_truth(folder / "truth", made, seed)
+    truth, length = virtual.true_stiffness(made.bench, made.motion, TRUTH_PLACES), bench.beam.length
+    facts = {"length_m": length, "force_max_N": bench.push.peak, "seed": seed}
+    write_truth(folder / "truth", facts, s=TRUTH_PLACES, k=truth.k, EI=truth.k * length)
     return folder
 
 
@@ -856,13 +816,3 @@ def _write_tracks(path: Path, made: virtual.VirtualRecording) -> None:
     rows = np.column_stack([seen.time[t], seen.tag_id[i], seen.xy[t, i], seen.angle[t, i]])
     formats = ("%.6f", "%d", "%.8f", "%.8f", "%.6f")
     np.savetxt(path, rows, fmt=formats, delimiter=",", header="time_s,id,x_m,y_m,angle_rad", comments="")
-
-
-def _write_truth(folder: Path, made: virtual.VirtualRecording, seed: int) -> None:
-    """`truth.npz` with s and k [N m], and `truth.json`; for comparison only."""
-    folder.mkdir(exist_ok=True)
-    truth = virtual.true_stiffness(made.bench, made.motion, TRUTH_PLACES)
-    length = made.bench.beam.length
-    np.savez_compressed(folder / "truth.npz", s=TRUTH_PLACES, k=truth.k, EI=truth.k * length)
-    facts = {"length_m": length, "force_max_N": made.bench.push.peak, "seed": seed}
-    (folder / "truth.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")

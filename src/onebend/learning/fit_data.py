@@ -285,7 +285,7 @@ def fit_data(
     ends = held_ends(o, frames, problem)
     nodes = problem.grid.nodes
     film = effects.Film(o, frames, measured, problem, gravity, line, rate)
-    none = o.static or not np.any(frames)
+    none = not allowances or o.static or not np.any(frames)
     known_mass = bool(allowances) and (np.isfinite(o.stated.mass) or o.stated.masses) and not o.static
     inertia = (
         effects.inertial_force(o, frames, problem, line, len(force), o.stated.masses) if known_mass else np.zeros(1)

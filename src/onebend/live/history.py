@@ -18,8 +18,7 @@ from onebend.live.body import BodyFrame, OutlineSighting, PointReader, SeenOutli
 from onebend.live.replayed import LiveFrame
 from onebend.recording import camera, entries, signals, tags
 from onebend.recording.force import to_beam
-from onebend.recording.outline import PLACES
-from onebend.records import Array, Observations, View, read_before_fit
+from onebend.records import Array, BoolArray, Observations, View, read_before_fit
 
 _MOST_SIGHTINGS = 1000  # of unexpected and of doubled tags
 
@@ -202,7 +201,8 @@ class FrameReader:
     place: float  # of the push; NaN where the log says it
     gravity: Array  # (2,) m/s^2
     largest: float  # m, displacement so far
-    points: PointReader | None = None  # of the outline, where it is learned from
+    traced: BoolArray  # (m,) which markers are points of an outline; beside tags these are not read frame by frame
+    points: PointReader | None = None  # where all are
 
     def stands_in(self, ahead: float) -> float:
         """s: a frame up to so far after the newest row of the log takes its force. `ahead` [s]: usual lead of that
@@ -213,23 +213,23 @@ class FrameReader:
         return float(np.clip(self.offset - ahead, 0.0, AS_NEAR * self.offset_sd))
 
     def poses(self, corners: Array, outline: OutlineSighting | None = None) -> tuple[Array, Array, Array]:
-        """(m, 2) m, (m,) rad and (m, 3, 3): the beam's tags in its frame, from corners (b + tags, 4, 2) px, and points
-        of its outline."""
+        """(m, 2) m, (m,) rad and (m, 3, 3): the beam's markers in its frame, from corners (b + tags, 4, 2) px or its
+        outline; NaN where not seen."""
         noise = max(self.view.corner_sd, _LEAST_SD)
         poses, misfit, _ = camera.measure_poses(self.view, corners[None], self.tag_size, noise=noise, refinements=1)
         poses = camera.drop(poses, misfit > _WRONG * noise)
         poses = camera.Poses(poses.xy, poses.angle - self.turn, poses.covariance)
         base = len(self.base_s)
-        own = camera.part(poses, slice(base, None))
-        own = own if self.points is None else self.points.beside(own, self.view, outline)
+        own = camera.part(poses, slice(base, None)) if self.points is None else self.points.poses(self.view, outline)
         if self.follows_base:
             own = camera.relative_to(camera.together(camera.part(poses, slice(base)), self.base_s.tolist()), own)
-        xy, covariance = own.xy[0], own.covariance[0]
+        read = self.traced if self.traced.all() else ~self.traced
+        xy, angle, covariance = (_among(read, one[0]) for one in (own.xy, own.angle, own.covariance))
         seen = np.isfinite(xy).all(axis=1)
         away = np.sum((self.known_xy - xy)[:, seen] ** 2, axis=(1, 2))
         if seen.any() and np.isfinite(away).any():
             covariance = covariance + self.camera_part[int(np.nanargmin(away))]
-        return xy, np.where(seen, own.angle[0], np.nan), covariance
+        return xy, np.where(seen, angle, np.nan), covariance
 
     def force_on_beam(self, logged: Array) -> Array:
         """(2,) N of a row (2,) of the log, its zero that of the first rest."""
@@ -254,9 +254,16 @@ class FrameReader:
         return LiveFrame(time + self.offset, xy, angle, covariance, force, place, pushed, self.gravity)
 
 
+def _among(rows: BoolArray, values: Array) -> Array:
+    """(m, ...) the values (k, ...) in these rows (m,), NaN in the others."""
+    out = np.full((len(rows), *values.shape[1:]), np.nan)
+    out[rows] = values
+    return out
+
+
 def reader_of(rec: entries.Recording, seen: Observations, outline: SeenOutline | None = None) -> FrameReader:
-    """The reader that goes on from what was observed so far, of frames that show a rest and a push; `outline` where
-    points of it are among the markers.
+    """The reader that goes on from what was observed so far, of frames that show a rest and a push; `outline` of a body
+    without tags.
 
     Raises:
         ObservationError: there is no camera or no force.
@@ -288,13 +295,6 @@ def reader_of(rec: entries.Recording, seen: Observations, outline: SeenOutline |
         place=push.at,
         gravity=seen.gravity[-1],
         largest=float(np.nanmax(away)) if np.isfinite(away).any() else 0.0,
-        points=None
-        if outline is None or seen.traced is None
-        else point_reader(
-            outline,
-            seen.marker_s,
-            signals.nan_median(seen.covariance),
-            seen.traced,
-            camera.height_along(view, rec.tags, PLACES),
-        ),
+        traced=np.zeros(m, dtype=bool) if seen.traced is None else seen.traced,
+        points=None if outline is None else point_reader(outline, seen.marker_s, signals.nan_median(seen.covariance)),
     )

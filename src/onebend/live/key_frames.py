@@ -197,6 +197,7 @@ class KeyFrames:
     """Room for K frames; the first `used` are taken, in order of time. In few arrays, to move a frame quickly."""
 
     used: int
+    begun: bool  # the first one is that in which the push begins
     traced: BoolArray  # (m,) which of the markers are points of an outline, and no tags
     numbers: Array  # (K, 13 + terms)
     flags: BoolArray  # (K, 3): `rest`, `stale`, `lost`
@@ -262,7 +263,7 @@ class KeyFrames:
         """Take frame i out."""
         for values in self.arrays():
             values[i : self.used - 1] = values[i + 1 : self.used]
-        self.used -= 1
+        self.used, self.begun = self.used - 1, self.begun and i > 0
 
     def set_linear(self, i: IntArray, x: Array, pose: Array, j: Array, a: Array) -> None:
         """Linearise B frames at parameters x and their force errors.
@@ -292,6 +293,7 @@ def empty(most: int, traced: BoolArray, parameters: int, nodes: int, terms: int)
 
     return KeyFrames(
         used=0,
+        begun=True,
         traced=traced,
         numbers=room(13 + terms),
         flags=np.zeros((count, 3), dtype=bool),

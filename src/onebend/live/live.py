@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from statistics import median
 from typing import Any, Literal, Self
@@ -34,7 +37,6 @@ from onebend.report.sentences import say, significant
 # Frame by frame between two reviews: frames wait for their force, and are taught to the learner of the last review.
 
 _BEHIND = 4  # frames that came during a review, of which its learner is taught with each new one
-_FEW_WAITING, _MOST_WAITING = 4, 300  # frames, before there is a learner and then
 _SOON = 0.03  # s of newer frames, after which a force that is as near as the clocks are known is taken for that
 HALF = 0.015  # s: the force of a frame is the mean of the rows that are as near
 LONGEST_GAP = 0.1  # s, to the nearest row where none is
@@ -45,11 +47,11 @@ Frame = tuple[float, TrackedFrame]  # time [s, the frames' clock]
 
 @dataclass
 class Learning:
-    """A learner with what it needs of each frame, and the frames that it still has to see."""
+    """A learner with what it needs of each frame."""
 
     reader: history.FrameReader
     learner: OnlineLearner
-    behind: deque[Frame] = field(default_factory=deque)
+    until: float  # s, the frames' clock: the last frame that it was shown
     learned: int = 0  # frames, one by one
     doubts: tuple[str, ...] = ()
     force: Array = field(default_factory=lambda: np.full(2, np.nan))  # (2,) N, at the last frame
@@ -60,7 +62,7 @@ class Learning:
         if len(log) and wanted - log.newest <= self.reader.stands_in(ahead):
             wanted = min(wanted, log.newest)
         logged = log.mean_near(wanted, HALF, LONGEST_GAP)
-        self.force = self.reader.force_on_beam(logged[:2])
+        self.until, self.force = time, self.reader.force_on_beam(logged[:2])
         frame = self.reader.frame(time, seen, logged)
         if frame is not None:
             with suppress(OnebendError):  # one not newer than the last, or without meaning: the next one will do
@@ -76,12 +78,15 @@ class Following:
         are kept that no review has seen."""
         self.reviewed: Reviewed | None = None
         self.learning: Learning | None = None
-        self.until = math.nan  # s, the frames' clock: of the last frame learned
-        self._log, self._wait = log, wait
+        self._log, self._wait, self._most = log, wait, most
         self._coming: Learning | None = None  # of the last review, until it has seen all frames
-        self._since: deque[Frame] = deque(maxlen=most)  # that no review has seen
-        self._waiting: deque[Frame] = deque()  # the newest of them, whose force is not there yet
+        self._since: list[Frame] = []  # that no review has seen
         self._ahead: deque[float] = deque(maxlen=_LATELY)  # s: of the log's newest row when a frame came, and its time
+
+    @property
+    def until(self) -> float:
+        """s, the frames' clock: of the last frame learned."""
+        return math.nan if self.learning is None else self.learning.until
 
     @property
     def ahead(self) -> float:
@@ -96,45 +101,40 @@ class Following:
     @property
     def behind(self) -> float:
         """s: how far the frame that waits longest for its force is behind the newest; 0 where there is no learner."""
-        waits = self.learning is not None and len(self._waiting) > 0
-        return self._waiting[-1][0] - self._waiting[0][0] if waits else 0.0
-
-    @property
-    def kept(self) -> dict[str, int]:
-        """Counts of the frames that are kept."""
-        behind = 0 if self._coming is None else len(self._coming.behind)
-        return {"waiting": len(self._waiting), "since": len(self._since), "behind": behind}
+        waiting = [] if self.learning is None else self._left(self.learning)
+        return waiting[-1][0] - waiting[0][0] if waiting else 0.0
 
     def add(self, time: float, seen: TrackedFrame) -> None:
         """One more frame, later than all before."""
         self._since.append((time, seen))
-        self._waiting.append((time, seen))
+        del self._since[: -self._most]
         if len(self._log):
             self._ahead.append(self._log.newest - time)
         self.release()
+        if self._coming is not None and self._teach(self._coming, _BEHIND):
+            self.learning, self._coming = self._coming, None
 
     def release(self) -> None:
         """Teach the frames whose force is there, or that waited long enough."""
-        learning = self.learning or self._coming
-        if learning is None:
-            while len(self._waiting) > _FEW_WAITING:
-                self._waiting.popleft()
-            return
-        while self._waiting:
-            time, seen = self._waiting[0]
-            if not self._there(time, learning.reader) and len(self._waiting) < _MOST_WAITING:
-                return
-            self._waiting.popleft()
-            if self.learning is not None:
-                self.learning.update(self._log, time, seen, self.ahead)
-            if self._coming is not None:
-                self._coming.behind.append((time, seen))
-                self._catch_up(self._coming)
-            self.until = time
+        if self.learning is not None:
+            self._teach(self.learning, self._most)
+
+    def _left(self, learning: Learning) -> list[Frame]:
+        """The frames that it was not shown yet."""
+        return self._since[bisect_right(self._since, learning.until, key=itemgetter(0)) :]
+
+    def _teach(self, learning: Learning, most: int) -> bool:
+        """Teach at most so many frames; whether none is left that need not wait."""
+        left = self._left(learning)
+        for time, seen in left[:most]:
+            if not self._there(time, learning.reader):
+                return True
+            learning.update(self._log, time, seen, self.ahead)
+        return len(left) <= most
 
     def _there(self, time: float, reader: history.FrameReader) -> bool:
         """Whether a frame at `time` need not wait for more of the log."""
-        waited, lacks, stands_in = self._waiting[-1][0] - time, time + reader.offset - self._log.newest, 0.0
+        waited, lacks, stands_in = self._since[-1][0] - time, time + reader.offset - self._log.newest, 0.0
         if lacks > -HALF:
             stands_in = reader.stands_in(self.ahead)
         near = min(history.AS_NEAR * reader.offset_sd, LONGEST_GAP)
@@ -148,23 +148,8 @@ class Following:
             knew = before is not None and before.learner is not None
             self.reviewed = replace(before, why=made.why) if knew and before is not None else made
             return
-        while self._since and self._since[0][0] <= made.until:
-            self._since.popleft()
-        self.reviewed = made
-        self._coming = Learning(made.reader, made.learner, deque(self._released()))
-        self._catch_up(self._coming)
-
-    def _released(self) -> list[Frame]:
-        waiting = {time for time, _ in self._waiting}
-        return [frame for frame in self._since if frame[0] not in waiting]
-
-    def _catch_up(self, coming: Learning) -> None:
-        """Teach the learner of the last review some of the frames that it has not seen; it takes over when there are
-        none."""
-        for _ in range(min(_BEHIND, len(coming.behind))):
-            coming.update(self._log, *coming.behind.popleft(), self.ahead)
-        if not coming.behind:
-            self.learning, self._coming = coming, None
+        self.reviewed, self._coming = made, Learning(made.reader, made.learner, made.until)
+        del self._since[: bisect_right(self._since, made.until, key=itemgetter(0))]
 
 
 # What is known while frames and force samples come in, and what to do next.
@@ -335,7 +320,7 @@ class Live:
         Args:
             image: (H, W) grey, 8 bit; None where a picture was lost.
             time: s, the camera's own clock. Pictures may be late by some frames.
-            colour: the same picture as `av.VideoFrame`. The outline of a body without tags is searched in its colours.
+            colour: the same picture as `av.VideoFrame`. The body's outline is searched in its colours.
 
         Raises:
             ObservationError: after `finish` or `close`.
@@ -350,12 +335,12 @@ class Live:
         if seen is None:
             self._counts = replace(self._counts, refused_frames=self._counts.refused_frames + 1)
         else:
-            self.tracked(seen, image)
+            self.tracked(seen, image, colour)
         return seen
 
     @one_blas_thread
-    def tracked(self, seen: TrackedFrame, image: Picture | None = None) -> None:
-        """The tags of one picture, where a `Tracker` elsewhere found them.
+    def tracked(self, seen: TrackedFrame, image: Picture | None = None, colour: Any = None) -> None:
+        """The tags of one picture, where a `Tracker` elsewhere found them; picture and colour as of `frame`.
 
         Raises:
             ObservationError: after `finish` or `close`.
@@ -370,7 +355,7 @@ class Live:
         counts = self._counts
         self._counts = replace(counts, frames=counts.frames + 1, late_frames=counts.late_frames + late)
         if image is not None and not late:
-            self._pictures.add(own.time, image, own.corners)
+            self._pictures.add(own.time, own.corners, partial(body.planes_in, self.recording, image, colour))
         self._frames.add(own)
         if not late:
             self._newest = seen
@@ -401,27 +386,6 @@ class Live:
             rows = np.column_stack([rows, np.broadcast_to(np.asarray(place, dtype=float), len(times))])
         self._log.add(rows)
         self._following.release()
-
-    @property
-    def learned_until(self) -> float:
-        """s, the camera's clock: the last frame that k(s) has in it; NaN where there is none."""
-        return self._following.until + self._begin
-
-    @property
-    def review_seconds(self) -> float:
-        """s of this process's time that reviews took so far: none where another process makes them."""
-        return self._reviewer.spent
-
-    @property
-    def kept(self) -> dict[str, int]:
-        """Counts of all that is kept of the stream; each is bounded, however long it runs."""
-        return {
-            "frames": len(self._frames),
-            "pictures": len(self._pictures),
-            "rows": len(self._log),
-            "tracker": self._tracker.kept,
-            **self._following.kept,
-        }
 
     @one_blas_thread
     def state(self) -> LiveState:
@@ -471,7 +435,7 @@ class Live:
         if not len(self._frames):
             raise ObservationError(f"{self.recording.name}: {NOTHING_YET}")
         return learn_observed(
-            review.observed_in(seen_by(self), self.settings.observing), fitting=fitting, progress=progress
+            review.observed_in(self._seen(), self.settings.observing), fitting=fitting, progress=progress
         )
 
     def close(self) -> None:
@@ -495,7 +459,7 @@ class Live:
 
     def _seen(self) -> Seen:
         outline = body.outline_in(self._frames.frames, self._tracker.follower)
-        return Seen(self.recording, self._frames.tracks(), self._log.rows.copy(), outline)
+        return Seen(self.recording, self._frames.tracks(), self._log.rows.copy(), outline, self._pictures.by_time())
 
     def _review(self, now: float) -> None:
         """Take what a review has found; begin the next one where it is due."""
@@ -507,8 +471,3 @@ class Live:
             reviewer.begin(self._seen())
             if (at_once := reviewer.result()) is not None:
                 following.take(at_once)
-
-
-def seen_by(live: Live) -> Seen:
-    """A copy of what is kept of a stream, pictures too, for `onebend.live.review.observed_in`."""
-    return replace(live._seen(), pictures=live._pictures.by_time())

@@ -20,7 +20,7 @@ from onebend.learning.linear import FitProblem, Hyperparameters
 from onebend.learning.prediction import predict
 from onebend.learning.sites import is_shaped
 from onebend.live.key_frames import FrameTerms, KeyFrames, course_of_frame, course_scale
-from onebend.records import Array, BoolArray, IntArray, Observations, Source, Stated, tags_among
+from onebend.records import Array, BoolArray, Observations, Source, Stated, tags_among
 
 RESOLUTION = Resolution(order=12, widest=0.5)  # coarser than the fit's, for time's sake
 MOST_NODES = 3 * RESOLUTION.order  # of a push anywhere
@@ -30,8 +30,6 @@ _GRIDS = 50  # over the length; a push between two places acts along the tangent
 # Parts of the curvature that those which lag behind it (`TIMES`) are taken to reach: on the way k is the secant
 # stiffness of such a push.
 REACHED = np.array([0.8, 0.5, 0.25])
-_FEW_TAGS = 8
-_OF_TAGS = ("along", "across", "turn", "discrepancy", "angle discrepancy")
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,16 +56,6 @@ class LiveSession:
     def columns(self) -> dict[str, slice]:
         """Columns of all blocks of parameters that are not frozen, by their names."""
         return self.layout.free_columns(0)
-
-    @cached_property
-    def of_tags(self) -> IntArray:
-        """(k, q) columns of the parameters that move one of the k tags alone; none of few tags: it saves no time."""
-        k, axes = int(np.sum(self.course.on_body)), {"discrepancy": 2}  # x and y
-        if k < _FEW_TAGS:
-            return np.zeros((k, 0), dtype=np.int64)
-        columns = [(axes.get(name, 1), self.columns[name]) for name in _OF_TAGS if name in self.columns]
-        parts = [np.arange(at.start, at.stop).reshape(n, k, -1).swapaxes(0, 1).reshape(k, -1) for n, at in columns]
-        return np.concatenate([np.zeros((k, 0), dtype=np.int64), *parts], axis=1)
 
     def other_sd(self, largest: float, bend: float) -> Array:
         """(n - p,) prior sds of all parameters but log k's coefficients, as the push so far has it (`course_scale`)."""
@@ -266,7 +254,8 @@ class Lineariser:
         self, keys: KeyFrames, push_s: float, frames: tuple[list[int], Array], point: Array
     ) -> effects.MaterialMemory:
         """Memory of the beam in the chosen frames, from the key frame before each; `frames`: these, and their shapes.
-        The first key frame and proposed averages keep theirs."""
+        What bends the beam as the push begins has done so for long; a later first one and proposed averages keep
+        theirs."""
         chosen, here = frames
         before, now = here[..., 1:], np.zeros((len(chosen), len(effects.TIMES)))
         if "relaxation" not in self._session.columns:
@@ -276,6 +265,8 @@ class Lineariser:
         centre = 0.5 * (keys.begin + keys.end)
         kept, entered, last = (w.T for w in effects.lag_weights(np.diff(centre)))
         place = {k: b for b, k in enumerate(chosen)}
+        if keys.begun and 0 in place:
+            before[place[0]], now[place[0]] = 0.0, 1.0
         for k in sorted(chosen):
             if not 0 < k < keys.used:
                 continue

@@ -20,7 +20,7 @@ from onebend.learning.hyperparameters import Evidence, cubature, error_root, sha
 from onebend.learning.normal import BlockRoot, InformationForm, solved_lower
 from onebend.live.key_frames import AT_REST, KeyFrames
 from onebend.recording.force_noise import TimeSpans, fast_variance, slow_variance, with_one_more
-from onebend.records import Array, ForceNoise, IntArray
+from onebend.records import Array, ForceNoise
 
 # Marginalised key frames are kept as square-root information (Bierman, Factorization Methods for Discrete Sequential
 # Estimation, 1977): subtracting from an information matrix would lose its positive definiteness to rounding.
@@ -241,24 +241,20 @@ def spans_of(keys: KeyFrames, marginalised: Marginalised, own: Callable[[Array],
     return spans.after(marginalised.time, float(own(np.array([marginalised.time]))[0]))
 
 
-def information(
-    keys: KeyFrames, marginalised: Marginalised, p: int, *, sizes: Array, white: float, of_tags: IntArray
-) -> InformationForm:
+def information(keys: KeyFrames, marginalised: Marginalised, p: int, *, sizes: Array, white: float) -> InformationForm:
     """Log likelihood of the key frames, with their robust weights, and of those marginalised, over the first p
-    parameters, the force errors and the other parameters; `sizes` (m,) of the markers' noise; `white` N, the log's;
-    `of_tags` (k, q): columns that move one of the k tags alone."""
+    parameters, the force errors and the other parameters; `sizes` (m,) of the markers' noise; `white` N, the log's."""
     used, n, first = keys.used, keys.rows.shape[-1] - 3, 2 * int(np.isfinite(marginalised.time))
     start, behind = p + first, p + first + 2 * used
-    every, each = _products(keys, np.sqrt(keys.weight[:used]) / sizes, of_tags)
+    rows = np.repeat(np.sqrt(keys.weight[:used]) / sizes, 3, axis=1)[..., None] * keys.rows[:used]
+    flat = rows.reshape(-1, n + 3)
+    every, each = flat.T @ flat, np.ascontiguousarray(rows[..., -3:-1].swapaxes(1, 2)) @ rows
     size, middle = n + first + 2 * used, slice(start, behind)
-    pieces = (slice(p), slice(p)), (slice(behind, size), slice(p, n))  # of all parameters, of x
+    own = np.append(np.arange(p), np.arange(behind, size))
     matrix, vector = np.zeros((size, size)), np.zeros(size)
-    across, vector[middle] = -each[..., :-3].reshape(-1, n), -each[..., -1].ravel()
-    for rows_in, rows_of in pieces:
-        vector[rows_in] = every[rows_of, -1]
-        matrix[middle, rows_in], matrix[rows_in, middle] = across[:, rows_of], across[:, rows_of].T
-        for columns_in, columns_of in pieces:
-            matrix[rows_in, columns_in] = every[rows_of, columns_of]
+    matrix[np.ix_(own, own)], vector[own] = every[:n, :n], every[:n, -1]
+    across, vector[middle] = -each[..., :n].reshape(-1, n), -each[..., -1].ravel()
+    matrix[middle, own], matrix[own, middle] = across, across.T
     certain = keys.rest[:used] * keys.frames[:used] / (AT_REST * white) ** 2
     here = start + 2 * np.arange(used)
     for c in range(2):
@@ -267,36 +263,10 @@ def information(
         vector[here + c] += certain * keys.force[:used, c]
     if first:
         root, known = marginalised.rows[:, :-1], marginalised.rows[:, -1]
-        old = np.concatenate([np.arange(p), np.arange(behind, size), [p, p + 1]])
+        old = np.append(own, [p, p + 1])
         matrix[np.ix_(old, old)] += root.T @ root
         vector[old] += root.T @ known
     return InformationForm(matrix, vector)
-
-
-def _products(keys: KeyFrames, scale: Array, of_tags: IntArray) -> tuple[Array, Array]:
-    """`X' X` (n + 3, n + 3) of the rows X of all key frames times `scale` (K, m), and (K, 2, n + 3) of each frame's own
-    columns of the force with its rows. The columns `of_tags` (k, q) are zero but at one tag each."""
-    used, width, tags = keys.used, keys.rows.shape[-1], np.flatnonzero(~keys.traced)
-    if not of_tags.size:
-        rows = np.repeat(scale, 3, axis=1)[..., None] * keys.rows[:used]
-        flat = rows.reshape(-1, width)
-        return flat.T @ flat, np.ascontiguousarray(rows[..., -3:-1].swapaxes(1, 2)) @ rows
-    rows, common = keys.rows[:used].reshape(*scale.shape, 3, width), np.setdiff1d(np.arange(width), of_tags)
-    many = scale[..., None, None] * rows[..., common]  # (K, m, 3, c)
-    few = scale[:, tags, None, None] * np.take_along_axis(rows[:, tags], of_tags[None, :, None], axis=-1)
-    flat, by_force = many.reshape(-1, len(common)), many[..., -3:-1]
-    every, each = np.empty((width, width)), np.empty((used, 2, width))
-    parts, index = (few, many[:, tags]), of_tags.ravel()
-    alone, beside = (one.swapaxes(0, 1).reshape(len(tags), 3 * used, one.shape[-1]) for one in parts)
-    across = (alone.swapaxes(1, 2) @ beside).reshape(len(index), len(common))
-    every[np.ix_(index, index)] = 0.0
-    every[np.ix_(common, common)] = flat.T @ flat
-    every[np.ix_(index, common)], every[np.ix_(common, index)] = across, across.T
-    every[of_tags[:, :, None], of_tags[:, None]] = alone.swapaxes(1, 2) @ alone
-    in_rows = np.ascontiguousarray(by_force.reshape(used, rows.shape[1] * 3, 2).swapaxes(1, 2))
-    each[..., common] = in_rows @ many.reshape(used, in_rows.shape[-1], len(common))
-    each[..., index] = np.einsum("fmcd,fmcq->fdmq", by_force[:, tags], few).reshape(used, 2, len(index))
-    return every, each
 
 
 def model_of(

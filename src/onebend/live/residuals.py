@@ -39,11 +39,7 @@ def force_in(residual: Array, a: Array) -> Array:
     """(K, 2) N: the force error of each frame that fits its residuals (K, R) best; `a` (K, R, 2): derivatives of the
     residuals with it."""
     turned = a.swapaxes(1, 2)
-    gram, by = turned @ a, (turned @ residual[..., None])[..., 0]
-    xx, yy, xy = gram[:, 0, 0] + _NO_FORCE, gram[:, 1, 1] + _NO_FORCE, gram[:, 0, 1]
-    out = np.empty_like(by)
-    out[:, 0], out[:, 1] = yy * by[:, 0] - xy * by[:, 1], xx * by[:, 1] - xy * by[:, 0]
-    return out / (xx * yy - xy**2)[:, None]
+    return np.asarray(np.linalg.solve(turned @ a + _NO_FORCE * np.eye(2), turned @ residual[..., None])[..., 0])
 
 
 def without_force(residual: Array, a: Array) -> Array:

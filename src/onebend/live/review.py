@@ -11,11 +11,10 @@ import pickle
 import subprocess
 import sys
 import threading
-import time
 import weakref
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import IO, Any
@@ -24,6 +23,7 @@ import numpy as np
 
 from onebend import records
 from onebend.errors import ObservationError, OnebendError
+from onebend.learning.frames import of_tags
 from onebend.learning.start import start_of
 from onebend.live.body import NOT_SEEN, SeenOutline
 from onebend.live.history import FrameReader, reader_of
@@ -33,14 +33,14 @@ from onebend.live.replayed import replay
 from onebend.progress import interrupts_held, leave_interrupts_to_parent, one_blas_thread
 from onebend.recording.camera import measure_tags, with_checked_turns
 from onebend.recording.entries import Recording
+from onebend.recording.flanks import Planes
 from onebend.recording.force import find_contact
 from onebend.recording.force_log import FEWEST_ROWS, whole_log
 from onebend.recording.observe import FEWEST_FRAMES, ObserveSettings, observe_markers
-from onebend.recording.outline import joined, left_out
+from onebend.recording.outline import joined, left_out, outlined
 from onebend.recording.tags import BlockTracks, summary
 from onebend.recording.tool import ToolPlace, tool_checked, tool_in_stream
 from onebend.recording.tracks import with_angles
-from onebend.recording.video import Picture
 from onebend.report.sentences import say
 
 NO_TAGS = "no tag of recording.toml is in the picture"
@@ -56,8 +56,8 @@ class Seen:
     recording: Recording
     tracks: BlockTracks
     rows: records.Array  # (N, 3 or 4) of the force log
-    outline: SeenOutline | None = None
-    pictures: Mapping[float, Picture] | None = None  # by their time; None: the tool is not looked for
+    outline: SeenOutline | None = None  # of a body without tags
+    pictures: Mapping[float, Planes] = field(default_factory=dict)  # some of them, by their time
 
     @property
     def until(self) -> float:
@@ -86,8 +86,6 @@ def observed_in(seen: Seen, settings: ObserveSettings = ObserveSettings()) -> re
     """
     rec, pictures, markers = seen.recording, seen.pictures, _markers_in(seen)
     observed = observe_markers(rec, markers, log_of(rec, seen.rows), settings)
-    if not pictures:
-        return observed
 
     def find(tags: records.Markers, loaded: records.BoolArray, frame: records.IntArray) -> ToolPlace:
         return tool_in_stream(pictures, rec, tags, loaded, markers.time[frame])
@@ -106,9 +104,13 @@ def _markers_in(seen: Seen) -> records.Markers:
     found = summary(rec.video, rec.tags, tag_id, [tracks])
     tags, outline = measure_tags(found, rec), seen.outline
     markers = with_checked_turns(tags.markers(), rec)
-    if outline is None and not rec.tags.on_beam:
+    read = np.flatnonzero(np.isin(tracks.time, list(seen.pictures)))
+    pictures = [seen.pictures[t] for t in tracks.time[read].tolist()]
+    if rec.tags.on_beam:
+        return outlined(tags, markers, read, pictures) if rec.traces_outline and len(read) else markers
+    if outline is None:
         raise ObservationError(NOT_SEEN, about="outline")
-    return markers if outline is None else joined(tags, markers, lambda: outline.track)
+    return joined(tags, markers, lambda: outline.track(dict(zip(read.tolist(), pictures, strict=True))))
 
 
 def log_of(rec: Recording, rows: records.Array) -> records.ForceLog | None:
@@ -141,6 +143,7 @@ def review(
         if not moved:  # nothing else can be known yet
             return Reviewed(seen.until, NO_PUSH, remarks=markers.remarks)
         observed = observe_markers(seen.recording, markers, log, replace(observing, check_force=False))
+        observed = of_tags(observed, observed.tag_id != records.END_ID)  # it is not read frame by frame
     except OnebendError as error:
         return Reviewed(seen.until, str(error), moved=moved)
     source = observed.source
@@ -158,7 +161,7 @@ def review(
         start = start_of([observed], None)
         learner = replay(observed, start, gain_sd=observed.stated.gain_sd, settings=learning)
         if learner.doubts and observed.traced is not None and not observed.traced.all():  # as `fit` does
-            alone = review(replace(seen, outline=None), observing, learning)
+            alone = review(replace(seen, pictures={}), observing, learning)
             return replace(alone, remarks=(*alone.remarks, left_out(learner.doubts[0])))
     except (OnebendError, np.linalg.LinAlgError) as error:
         return replace(known, why=str(error))
@@ -207,12 +210,10 @@ class Reviewer:
         self._settings = observing, learning
         self._made: SimpleQueue[Reviewed] = SimpleQueue()
         self.busy = False
-        self.spent = 0.0  # s of this process's time that reviews took so far
 
     def begin(self, seen: Seen) -> None:
-        begun, self.busy = time.thread_time(), True
+        self.busy = True
         self._made.put(review(seen, *self._settings))
-        self.spent += time.thread_time() - begun
 
     def result(self) -> Reviewed | None:
         """The review, once it is made. Does not wait."""

@@ -265,9 +265,7 @@ class Smoother:
         expected = replace(self.hyperparameters, coloured=1.0, memory=1.0, walk=1.0, load=1.0, white=1.0)
         error, start = spanned_error(self._expected_error, spans), (self._start.level, self._start.stiffness)
         p, white = session.layout.spline.count, self._process.white
-        form = posteriors.information(
-            keys, self.marginalised, p, sizes=self.noise, white=white, of_tags=session.of_tags
-        )
+        form = posteriors.information(keys, self.marginalised, p, sizes=self.noise, white=white)
         spread = np.where(np.array(CHOSEN) == "memory", settings.memory_doubt, np.append(SPREAD, _WHITE_SPREAD))
         model = posteriors.model_of(form, self._before, problem_of(session, error, start, expected), spread)
         return model.posterior(self.hyperparameters)

@@ -62,6 +62,11 @@ def _between(
         out[..., k] = top + fy * (low - top)
 
 
+def grey(luma: NDArray[np.uint8]) -> Planes:
+    """The planes of a picture without colour."""
+    return Planes(luma, np.full((2, 2, 2), 128, np.uint8))
+
+
 def planes_of(rec: Recording, index: int, raw: Any) -> Planes:
     """The planes of what `video.timed` gives."""
     assert rec.video is not None

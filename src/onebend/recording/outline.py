@@ -355,19 +355,15 @@ def outline_track(
     rec: entries.Recording,
     view: View,
     corners: Array,
-    frames: IntArray,
+    pictures: Iterable[flanks.Planes],
     *,
     tags: Markers | None = None,
     apart: bool = False,
-    kept: video.KeptFrames | None = None,
-    progress: Progress = Silent(),
 ) -> OutlineTrack:
-    """The body's centreline in the `frames` (T,) of the film of `rec`, in which the base tags' corners (T, b, 4, 2)
-    [px] are known; `view` is that of the base tag's plane and frame. Frames that are far `apart` are searched each by
-    itself, from the clamp on. `kept` takes notice of all frames, so that others need not read the film again.
+    """The body's centreline in T pictures, in which the base tags' corners (T, b, 4, 2) [px] are known; `view` is that
+    of the base tag's plane and frame. Pictures that are far `apart` are searched each by itself, from the clamp on.
 
     Raises:
-        RecordingError: the film cannot be read.
         ObservationError: no body is seen beside the clamp, or it is lost.
     """
     place = body_place(rec, view)
@@ -375,20 +371,15 @@ def outline_track(
     shift = nan_mean(np.moveaxis(shift, 1, 0))
     known = np.isfinite(shift[:, 0])
     shift = np.stack([np.interp(np.arange(len(shift)), np.flatnonzero(known), one[known]) for one in shift.T], axis=1)
-    wanted = {int(frame): row for row, frame in enumerate(frames)}
-    looked = np.unique(np.linspace(0, len(frames) - 1, body_end.PICTURES).astype(int))
+    looked = np.unique(np.linspace(0, len(shift) - 1, body_end.PICTURES).astype(int))
     at_end: dict[int, flanks.Sight] = {}
 
     def sights() -> Iterator[flanks.Sight]:
-        assert rec.video is not None
-        for index, _, raw in track(progress, "Following the outline", video.timed(rec.video), len(frames)):
-            if kept is not None and not rec.video.topic:
-                kept.keep(rec.video, index, raw)
-            if (row := wanted.get(index)) is not None:
-                sight = flanks.Sight(flanks.planes_of(rec, index, raw), view, shift[row])
-                if row in looked and not place.hidden[-1]:
-                    at_end[row] = sight
-                yield sight
+        for row, picture in enumerate(pictures):
+            sight = flanks.Sight(picture, view, shift[row])
+            if row in looked and not place.hidden[-1]:
+                at_end[row] = sight
+            yield sight
 
     if tags is not None:
         found, half = with_tags(sights(), place.stations, place.hidden, tags)
@@ -477,23 +468,46 @@ def with_outline(
     progress: Progress = Silent(),
 ) -> Markers:
     """The `markers` of these tags, in frames of this `number`, with points of the body's outline; a note where there
-    are tags that the outline does not agree with, and it is left out. `kept` as of `outline_track`.
+    are tags that the outline does not agree with, and it is left out. `kept` takes notice of all frames of the film, so
+    that others need not read it again.
 
     Raises:
-        RecordingError, ObservationError: as `outline_track`, the second without tags on the body.
+        RecordingError: the film cannot be read.
+        ObservationError: as `outline_track`, without tags on the body.
     """
-    rec, corners = tags.description, tags.detections.corners
+    rec = tags.description
     each = math.ceil(len(number) / MOST_READ) if rec.tags.on_beam and not apart else 1
     read = np.arange(0, len(number), each)
+
+    def pictures() -> Iterator[flanks.Planes]:
+        assert rec.video is not None
+        wanted = frozenset(number[read].tolist())
+        for index, _, raw in track(progress, "Following the outline", video.timed(rec.video), len(wanted)):
+            if kept is not None and not rec.video.topic:
+                kept.keep(rec.video, index, raw)
+            if index in wanted:
+                yield flanks.planes_of(rec, index, raw)
+
+    return outlined(tags, markers, read, pictures(), apart=apart)
+
+
+def outlined(
+    tags: camera.MeasuredTags,
+    markers: Markers,
+    read: IntArray,
+    pictures: Iterable[flanks.Planes],
+    *,
+    apart: bool = False,
+) -> Markers:
+    """As `with_outline`, by `pictures` of the frames `read` (R,) among those of the markers."""
+    rec, corners = tags.description, tags.detections.corners
     base = corners[read, : len(rec.tags.on_base)]
     of_read = replace(markers, xy=markers.xy[read], angle=markers.angle[read]) if rec.tags.on_beam else None
 
     def found() -> OutlineTrack:
         assert markers.view is not None
-        few = outline_track(
-            rec, markers.view, base, number[read], tags=of_read, apart=apart, kept=kept, progress=progress
-        )
-        outline = spread_over(few, read, len(number))
+        few = outline_track(rec, markers.view, base, pictures, tags=of_read, apart=apart)
+        outline = spread_over(few, read, len(corners))
         hung: BoolArray = ~np.asarray(np.isfinite(corners).any(axis=(1, 2, 3)))
         return replace(outline, sd=np.where(hung[:, None], np.nan, outline.sd))
 

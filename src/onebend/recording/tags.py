@@ -521,11 +521,6 @@ class Tracker:
         self._turn, self._unseen = 0, 0
         self._shape: tuple[int, int] | None = None
 
-    @property
-    def kept(self) -> int:
-        """Count of the pictures whose tags are still kept, to predict the next ones."""
-        return len(self._rows)
-
     def step(self, picture: Picture, time: float) -> TrackedFrame:
         """The tags in one more picture, from it and those given before.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from math import isfinite, isnan, nan, sqrt
 from statistics import median
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, map_coordinates, uniform_filter
 
 from onebend.recording.entries import Recording
+from onebend.recording.flanks import Planes
 from onebend.recording.plane import camera_place, project, scale_of
 from onebend.recording.signals import MAD_TO_SD, along_tags, runs
 from onebend.recording.tool_edges import ToolStrip, contacts
@@ -497,13 +499,13 @@ def tool_in(pictures: Sequence[Picture], rec: Recording, markers: Markers, loade
 
 
 def tool_in_stream(
-    pictures: Mapping[float, Picture], rec: Recording, markers: Markers, loaded: BoolArray, time: Array
+    pictures: Mapping[float, Planes], rec: Recording, markers: Markers, loaded: BoolArray, time: Array
 ) -> ToolPlace:
     """Where the pictures that were kept of a stream, by their time [s], show the tool; `markers`, `loaded` and `time`
     [s] have one row per frame."""
     rows = np.flatnonzero(np.isin(time, list(pictures)))
     rows = rows[rows_to_look_at(markers.xy[rows], loaded[rows])]
-    return tool_in([pictures[t] for t in time[rows].tolist()], rec, of_rows(markers, rows), loaded[rows])
+    return tool_in([pictures[t].luma for t in time[rows].tolist()], rec, of_rows(markers, rows), loaded[rows])
 
 
 def rows_to_look_at(xy: Array, loaded: BoolArray, rather: BoolArray | None = None) -> IntArray:
@@ -548,8 +550,8 @@ def _tool_elsewhere(tool: ToolPlace, rec: Recording) -> bool:
 # Pictures of a stream. Which frames are of the push is known only when it is over. So some frames are kept that
 # show the tags where they were first, and more of all others, evenly over time and way.
 
-MOST = 2 * (LOADED + AT_REST)  # pictures: at least half as many are left where every other one has gone
-MOST_PIXELS = 200_000_000  # of all that are kept; a pixel takes a byte
+MOST = 4 * (LOADED + AT_REST)  # pictures: at least half as many are left where every other one has gone
+MOST_PIXELS = 100_000_000  # of all that are kept; a pixel takes 1.5 bytes as a rule
 MOVED = 0.05  # of a tag's side: farther from where it was first, it may be pushed
 SECONDS, WAY = 0.1, 0.1  # s, and sides of a tag: so far apart are the pictures to begin with
 
@@ -561,7 +563,7 @@ class _Spread:
     share: float  # of all that are kept
     spacing: float = 1.0
     # Of each its time [s], and where its tags are, (m, 2) px.
-    kept: list[tuple[float, Array, Picture]] = field(default_factory=list)
+    kept: list[tuple[float, Array, Planes]] = field(default_factory=list)
 
     def wants(self, time: float, middle: Array, side: float) -> bool:
         """Whether a picture is far enough from the last one."""
@@ -570,7 +572,7 @@ class _Spread:
         last, there, _ = self.kept[-1]
         return (time - last) / SECONDS + _farthest(middle - there) / (WAY * side) >= self.spacing
 
-    def add(self, one: tuple[float, Array, Picture], most: int) -> None:
+    def add(self, one: tuple[float, Array, Planes], most: int) -> None:
         """One more, of at most `most` in both stores."""
         self.kept.append(one)
         if len(self.kept) > max(1, int(self.share * most)):
@@ -586,15 +588,11 @@ class KeptPictures:
         self._first: Array | None = None  # (m, 2) px, where each tag was seen first
         self._rest, self._away = (_Spread(part / (AT_REST + LOADED)) for part in (AT_REST, LOADED))
 
-    def __len__(self) -> int:
-        """Count of the pictures that are kept."""
-        return len(self._rest.kept) + len(self._away.kept)
-
     def __contains__(self, time: object) -> bool:
         """Whether the picture of a time [s] is kept."""
         return time in self.by_time()
 
-    def add(self, time: float, picture: Picture, corners: Array) -> None:
+    def add(self, time: float, corners: Array, picture: Callable[[], Planes]) -> None:
         """Take notice of the newest picture, which shows the tags' corners (m, 4, 2) [px]; NaN where it does not."""
         seen = np.isfinite(corners).all(axis=(1, 2))
         if not seen.any():
@@ -603,14 +601,14 @@ class KeptPictures:
         if self._first is None:
             self._first = middle
             self._side = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)[seen].mean())
-            self._most = min(self._most, MOST_PIXELS // picture.size)
+            self._most = min(self._most, MOST_PIXELS // picture().luma.size)
         self._first = np.where(np.isfinite(self._first), self._first, middle)
         moved = _farthest(middle - self._first) > MOVED * self._side
         spread = self._away if moved else self._rest
         if self._most and spread.wants(time, middle, self._side):
-            spread.add((time, middle, picture.copy()), self._most)  # its owner may write the next one into it
+            spread.add((time, middle, deepcopy(picture())), self._most)  # its owner may write the next one into it
 
-    def by_time(self) -> dict[float, Picture]:
+    def by_time(self) -> dict[float, Planes]:
         """Those that are kept, by their time [s]."""
         return {time: picture for time, _, picture in (*self._rest.kept, *self._away.kept)}
 

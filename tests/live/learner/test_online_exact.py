@@ -21,7 +21,7 @@ from onebend.live.key_frames import (
     KeyFrames,
     empty,
 )
-from onebend.live.model import _OF_TAGS, REACHED, FrameInputs, LiveSession, frames_at, problem_of, pushed_at, session_of
+from onebend.live.model import REACHED, FrameInputs, LiveSession, frames_at, problem_of, pushed_at, session_of
 from onebend.live.posterior import (
     KeyFramePosterior,
     Marginalised,
@@ -166,26 +166,12 @@ def linear_frames(seed: int, layout: Layout, count: int) -> KeyFrames:
     return keys
 
 
-def test_products_of_columns_that_move_one_tag_are_those_of_all_columns(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("onebend.live.model._FEW_TAGS", 1)
-    learner = replay(observed(SOFT, forces(6)), 0.02)
-    keys, of_tags = learner._state.keys, learner._session.of_tags
-    columns = learner._session.columns
-    assert set(of_tags.ravel()) == {i for name in _OF_TAGS for i in range(columns[name].start, columns[name].stop)}
-    args = keys, learner._state.marginalised, learner._session.layout.spline.count
-    sizes, every = np.full(3, 1.3), (of_tags, np.zeros((3, 0), dtype=np.int64))
-    fast, slow = (information(*args, sizes=sizes, white=0.01, of_tags=one) for one in every)
-    np.testing.assert_allclose(fast.matrix, slow.matrix, rtol=1e-12, atol=1e-12 * np.max(np.abs(slow.matrix)))
-    np.testing.assert_allclose(fast.vector, slow.vector, rtol=1e-12, atol=1e-12 * np.max(np.abs(slow.vector)))
-
-
 def solved(session: LiveSession, keys: KeyFrames, marginalised: Marginalised, process: ForceNoise) -> KeyFramePosterior:
     """The posterior over these key frames, the tags' noise 1.3 times their covariances."""
     spline, noise = session.layout.spline, RecordingNoise(1.3, process.white)
     h = Hyperparameters(spline.variances(2.0, 0.2), 1.0, 1.0, 1.0, 1.0, (noise,))
     problem = problem_of(session, spanned_error(process, spans_of(keys, marginalised)), (0.3, None), h)
-    sizes, none = np.full(2, 1.3), np.zeros((2, 0), dtype=np.int64)
-    form = information(keys, marginalised, spline.count, sizes=sizes, white=process.white, of_tags=none)
+    form = information(keys, marginalised, spline.count, sizes=np.full(2, 1.3), white=process.white)
     sd = session.other_sd(1.0, 1.0)
     return model_of(form, (0.4 * sd, sd), problem, SPREAD).posterior(h)
 

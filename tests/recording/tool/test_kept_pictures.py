@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from onebend.recording.entries import PushEntry
+from onebend.recording.flanks import grey
 from onebend.recording.tool import AT_REST, LOADED, MOST, MOST_PIXELS, KeptPictures, tool_in_stream
 from onebend.records import Array
 from tests.recording.filmed import corners_of, recording, view
@@ -23,7 +25,7 @@ def test_the_tool_is_seen_in_what_was_kept_as_in_the_film(at: float) -> None:
     buffer = np.zeros(film.pictures.shape[1:], np.uint8)  # as of a camera that writes all its pictures into one
     for t, picture, tags in zip(time.tolist(), film.pictures, bends(), strict=True):
         buffer[:] = np.clip(np.rint(picture), 0, 255)
-        kept.add(t, buffer, corners_of(tags, view()))
+        kept.add(t, corners_of(tags, view()), partial(grey, buffer))
     pictures, rec = kept.by_time(), replace(recording(), push=PushEntry(at=at))
     found = tool_in_stream(pictures, rec, film.markers, film.loaded, time)
     assert found.seen, found.why
@@ -39,8 +41,8 @@ def test_rest_and_push_are_kept_of_a_long_stream() -> None:
     push = rest[-1] + 0.1 * np.arange(1, 101)
     for time in (*rest.tolist(), *push.tolist()):
         way = 40.0 * np.clip((time - push[0]) / 10.0, 0.0, 1.0)  # px
-        kept.add(time, np.zeros((30, 40), np.uint8), tags_at(way))
-        assert len(kept) <= MOST
+        kept.add(time, tags_at(way), partial(grey, np.zeros((30, 40), np.uint8)))
+        assert len(kept.by_time()) <= MOST
     times = np.sort([*kept.by_time()])
     resting, pushed = times[times <= push[3]], times[times > push[3]]
     assert len(resting) >= AT_REST  # as many as are looked at
@@ -51,13 +53,14 @@ def test_rest_and_push_are_kept_of_a_long_stream() -> None:
 
 
 def test_large_pictures_are_fewer() -> None:
-    few, many, large = KeptPictures(), KeptPictures(), np.broadcast_to(np.uint8(0), (2000, MOST_PIXELS // 50_000))
+    few, many, small = KeptPictures(), KeptPictures(), np.zeros((100, 100), np.uint8)
+    large = np.broadcast_to(np.uint8(0), (2000, MOST_PIXELS // 50_000))
     for i in range(200):
-        few.add(0.2 * i, large, tags_at(2.0 * i))
-        many.add(0.2 * i, np.zeros((100, 100), np.uint8), tags_at(2.0 * i))
-    assert 8 <= len(few) <= 25 < len(many)
+        few.add(0.2 * i, tags_at(2.0 * i), partial(grey, large))
+        many.add(0.2 * i, tags_at(2.0 * i), partial(grey, small))
+    assert 8 <= len(few.by_time()) <= 25 < len(many.by_time())
     blind = KeptPictures()
-    blind.add(0.0, np.zeros((100, 100), np.uint8), np.full((2, 4, 2), np.nan))
+    blind.add(0.0, np.full((2, 4, 2), np.nan), partial(grey, small))
     assert not blind.by_time()
 
 
