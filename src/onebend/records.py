@@ -395,7 +395,7 @@ class Observations:
     # `angle`; their place along it is free. None: none
     traced: BoolArray | None = None
     tool: ToolTrack | None = None  # None: the film does not show it reliably
-    width: Array | None = None  # (P, 2) places s, and the body's width there [m] where both flanks are seen; None: nowhere
+    width: Array | None = None  # (P, 2) places s and the body's width there [m], by its outline; None: not seen
 
 
 def tags_among(seen: Markers | Observations) -> BoolArray:

@@ -222,6 +222,9 @@ def test_the_width_tells_what_tags_do_not_resolve_and_its_power_is_learned(heigh
     assert float(np.mean((band.low <= k(places)) & (k(places) <= band.high))) > 0.9
     if height:
         assert np.std(away[0]) < 0.5 * np.std(away[1])
+        live = [replay(one, 0.03).stiffness.band(places) for one in (replace(plain, width=thicker), plain)]
+        told = [np.std(np.log(one.k / k(places))) for one in live]
+        assert told[0] < 0.5 * told[1]
     found = next(one for one in with_it.nuisances() if one.name.startswith("power"))
     assert abs(found.value - power) < 2.5 * found.sd
     assert found.sd < 1.0

@@ -123,12 +123,12 @@ _BUMP = 1.5 / 8.0 * np.array([1.0, 4.0, 6.0, 4.0, 1.0])  # a cubic B-spline on i
 _WITHIN = 20  # places of a step between two coefficients that are averaged over
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Spline:
-    """`count` B-splines on equal intervals of [0, 1]."""
+    """`count` B-splines on equal intervals of [0, 1]. Splines are equal only to themselves."""
 
     count: int
-    besides: Array | None = field(default=None, compare=False)  # (count, n) coefficients of further parts, of sd one
+    besides: Array | None = None  # (count, n) coefficients of further parts, of sd one each
 
     @cached_property
     def knots(self) -> Array:

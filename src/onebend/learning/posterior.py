@@ -102,8 +102,8 @@ def power_of_width(layout: Layout, variances: Array, log_k: Array, covariance: A
     """The power of the body's width that goes into k(s), and its sd, as `without_section_errors`."""
     part, root = layout.spline.parts[:, layout.spline.local.stop], layout.stiffness_root(variances)
     weights = np.linalg.solve(root @ root.T, part)
-    left = 1.0 - weights @ part + weights @ covariance @ weights
-    return POWER * float(weights @ log_k), POWER * float(np.sqrt(max(left, 0.0)))
+    left = float(1.0 - weights @ part + weights @ covariance @ weights)
+    return POWER * float(weights @ log_k), POWER * max(left, 0.0) ** 0.5
 
 
 def loop_of(layout: Layout, mean: Array) -> float:
