@@ -141,6 +141,7 @@ class Markers:
     remarks: tuple[Remark, ...] = ()
     by_camera: Array | None = None  # (T, m, 3, n) what one sd of each unknown of camera and plane does to all poses
     traced: BoolArray | None = None  # (m,) as `Observations.traced`
+    width: Array | None = None  # (P, 2) as `Observations.width`
 
 
 @dataclass(frozen=True)
@@ -152,6 +153,7 @@ class OutlineTrack:
     ahead: Array  # (T, n, 2) px of a place a little farther along the curve
     sd: Array  # (T, n) px, one sd across the curve; NaN where the flanks were not seen
     remarks: tuple[Remark, ...] = ()
+    width: Array | None = None  # (P, 2) as `Observations.width`
 
 
 @dataclass(frozen=True)
@@ -393,6 +395,7 @@ class Observations:
     # `angle`; their place along it is free. None: none
     traced: BoolArray | None = None
     tool: ToolTrack | None = None  # None: the film does not show it reliably
+    width: Array | None = None  # (P, 2) places s and the body's width there [m], by its outline; None: not seen
 
 
 def tags_among(seen: Markers | Observations) -> BoolArray:

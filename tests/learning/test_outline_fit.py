@@ -6,7 +6,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 
+from onebend.beam.model import Beam
+from onebend.beam.stiffness import LogSpline
 from onebend.learning.allowances import EVERY_ALLOWANCE
 from onebend.learning.condensed import white_share
 from onebend.learning.fit_data import fit_data
@@ -196,3 +199,33 @@ def test_recordings_of_one_beam_keep_the_points_that_all_of_them_have() -> None:
     first, second = with_seen_tags([both, fewer])
     np.testing.assert_array_equal(first.tag_id, second.tag_id)
     assert len(first.tag_id) == len(both.tag_id) - 1
+
+
+def noded(height: float) -> LogSpline:
+    """k(s) [N m] of a taper with a node that is stiffer by `height` in log k."""
+    spline = Spline(45)
+    return LogSpline(
+        tuple(spline.knots.tolist()),
+        tuple(spline.nearest(lambda s: -3.5 - 0.6 * s + height * np.exp(-0.5 * ((s - 0.55) / 0.04) ** 2)).tolist()),
+    )
+
+
+@pytest.mark.parametrize(("height", "power"), [(0.6, 3.0), (0.0, 0.0)])
+def test_the_width_tells_what_tags_do_not_resolve_and_its_power_is_learned(height: float, power: float) -> None:
+    """A node between two tags is in k(s) as in the width; where only a sleeve is thicker there, k(s) has none."""
+    k, s = noded(height), np.linspace(0.1, 0.9, 120)
+    plain = observed(Beam(0.15, k), forces(60, most=1.0), noise=(1e-4, 5e-3))
+    thicker = np.column_stack([s, 0.01 * np.exp(0.2 * np.exp(-0.5 * ((s - 0.55) / 0.04) ** 2))])
+    with_it, without = (fit([one], settings=IDEAL) for one in (replace(plain, width=thicker), plain))
+    places = np.linspace(0.1, 0.9, 40)
+    band, away = with_it.band(places), [np.log(one.band(places).k / k(places)) for one in (with_it, without)]
+    assert float(np.mean((band.low <= k(places)) & (k(places) <= band.high))) > 0.9
+    if height:
+        assert np.std(away[0]) < 0.5 * np.std(away[1])
+        live = [replay(one, 0.03).stiffness.band(places) for one in (replace(plain, width=thicker), plain)]
+        told = [np.std(np.log(one.k / k(places))) for one in live]
+        assert told[0] < 0.5 * told[1]
+    found = next(one for one in with_it.nuisances() if one.name.startswith("power"))
+    assert abs(found.value - power) < 2.5 * found.sd
+    assert found.sd < 1.0
+    assert all(not one.name.startswith("power") for one in without.nuisances())

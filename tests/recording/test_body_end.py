@@ -101,6 +101,10 @@ def test_the_outline_has_the_end_as_a_point_of_which_what_is_along_it_counts() -
     assert outline.track_of(place, one, half, np.zeros((1, 2)), {0: sights[0]}).s[-1] == 1.0
     without = outline.track_of(place, found, half, np.zeros((len(pictures), 2)))
     assert without.s[-1] < 1.0
+    assert without.width is not None
+    s, width = without.width.T
+    assert len(s) > 0.8 * stations.count
+    np.testing.assert_allclose(width, 2.0 * half_width(s), rtol=0.02)
 
 
 def test_a_longer_body_than_written_is_doubted() -> None:

@@ -327,7 +327,7 @@ def beside_tags(*, off: float = 0.0, drift: float = 0.0, most: float = 0.25, gap
 
 @pytest.mark.parametrize(
     ("off", "drift", "said"),
-    [(0.0, 0.0, ""), (5e-4, 1e-4, ""), (3e-3, 0.0, "passes 3 mm"), (0.0, 3e-3, "moves by up to")],
+    [(0.0, 0.0, ""), (5e-4, 1e-4, ""), (2e-3, 0.0, ""), (3e-3, 0.0, "passes 3 mm"), (0.0, 3e-3, "moves by up to")],
 )
 def test_an_outline_that_contradicts_a_tag_is_told(off: float, drift: float, said: str) -> None:
     assert said in (found := outline.contradicted(beside_tags(off=off, drift=drift), recording()))

@@ -105,6 +105,7 @@ def full() -> Observations:
         by_camera=rng.normal(size=(frames, len(made.marker_s), 3, 7)),
         sd_known=False,
         traced=np.arange(len(made.marker_s)) > 1,
+        width=rng.random((5, 2)),
         tool=ToolTrack(np.arange(4.0), rng.random(4), rng.random(4), rng.random((4, 2))),
         readings=Readings("x", 2, 1 / 7),
         static=True,

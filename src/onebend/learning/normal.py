@@ -323,7 +323,7 @@ def part_variances(spline: Spline, logs: Array, own: Array) -> tuple[Array, Arra
     out = spline.variances(*np.exp(logs.T))
     free = (np.exp(logs[:, 1:]) * spline.share) ** 2 * own
     capped = free / JUMP**2
-    out[:, spline.count :] = free / (1.0 + capped)
+    out[:, spline.local] = free / (1.0 + capped)
     return out, capped
 
 
@@ -341,17 +341,18 @@ class Target:
         `seen` (B, r); `share` (B,) of each chain in the posterior."""
         self.spline, self.weights, self.seen, self.share = spline, spline.parts, seen, share
         self.on_parts = rows @ self.weights  # (B, r, n)
-        line, smooth, local = np.split(self.on_parts, [2, spline.count], axis=-1)
-        self.line = (line * spline.variances(TAU, RHO)[:2]) @ np.swapaxes(line, 1, 2) + np.eye(seen.shape[1])
+        smooth, self.local = self.on_parts[..., 2 : spline.count], spline.local  # steps and bumps
+        fixed = np.r_[:2, self.local.stop : self.weights.shape[1]]  # parts of known sizes
+        known = self.on_parts[..., fixed]
+        self.known = (known * spline.variances(TAU, RHO)[fixed]) @ np.swapaxes(known, 1, 2) + np.eye(seen.shape[1])
         self.smooth = smooth @ np.swapaxes(smooth, 1, 2)
-        self.on_local = np.ascontiguousarray(local)
-        self.local = slice(spline.count, self.weights.shape[1])  # steps and bumps
+        self.on_local = np.ascontiguousarray(self.on_parts[..., self.local])
 
     def at(self, logs: Array, own: Array) -> _Chains:
         """The chains with these sizes."""
         variance, capped = part_variances(self.spline, logs, own)
         local = (self.on_local * variance[:, None, self.local]) @ np.swapaxes(self.on_local, 1, 2)
-        spread = self.line + np.exp(2.0 * logs[:, :1, None]) * self.smooth + local
+        spread = self.known + np.exp(2.0 * logs[:, :1, None]) * self.smooth + local
         root = np.asarray(np.linalg.cholesky(spread), dtype=float)
         white = _each(dtrtrs, root, self.seen)
         value = -np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1) - 0.5 * np.sum(white**2, axis=1)

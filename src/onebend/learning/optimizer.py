@@ -609,6 +609,8 @@ def first_problem(
 ) -> tuple[linear.FitProblem, Array]:
     """The problem with a few frames of some recordings, and the initial parameters (P,)."""
     spline, most = parameters.Spline(settings.functions), min(settings.first_frames, settings.most_frames)
+    if widths := [o.width for o in recordings if o.width is not None and len(o.width)]:
+        spline = parameters.with_width(spline, max(widths, key=len))
     data, layout = _prepared(recordings, [chosen_frames(o, most) for o in recordings], spline, settings)
     noise = tuple(expected_recording_noise(d) for d in data)
     x, level = starting(layout, start)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -103,22 +104,31 @@ def known_shape(recordings: Sequence[records.Observations]) -> KnownShape | None
 
 # log k(s) as a cubic B-spline. Its prior is a sum of level and slope, a smooth part whose second derivative is white
 # noise of size `tau`, steps between coefficients, and bumps of three or four coefficients. Steps of one size `rho` are
-# a random walk, without bumps; steps of individual sizes: see `normal.py`.
+# a random walk, without bumps; steps of individual sizes: see `normal.py`. Where the film shows the body's width w, a
+# part goes with log w: of one material, k goes with the cube of w if the body is as deep everywhere, with its fourth
+# power if it is round. The power is unknown, for a body may have several materials, or a sleeve.
 
 LEVEL_SD = 4.0  # of log k: a factor of 55 either way around the start
 SLOPE_SD = 3.0  # of log k from clamp to tip: a factor of 20 either way
 TAU, RHO = 8.0, 0.3  # roughness and steps of log k that are expected, where all steps are taken to be alike
 SPREAD = 1.2  # one sd of their logs: a factor of ten either way
+POWER = 3.0  # of the width: one sd
+# Of the width that an outline shows, over itself: one sd of a white error at every place, and of one that is alike over
+# `_ALIKE`; and its roughness. The likeliest of each is taken.
+_WIDTH_SD, _ROUGH = (0.002, 0.004, 0.008, 0.016, 0.032), (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+_ALIKE = 0.07  # of the length
+_SHOWN = 1e-3  # of the variance: what is left out of the errors of the width
 _DEGREE = 3
 _BUMP = 1.5 / 8.0 * np.array([1.0, 4.0, 6.0, 4.0, 1.0])  # a cubic B-spline on intervals twice as long, of height one
 _WITHIN = 20  # places of a step between two coefficients that are averaged over
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Spline:
-    """`count` B-splines on equal intervals of [0, 1]."""
+    """`count` B-splines on equal intervals of [0, 1]. Splines are equal only to themselves."""
 
     count: int
+    besides: Array | None = None  # (count, n) coefficients of further parts, of sd one each
 
     @cached_property
     def knots(self) -> Array:
@@ -138,11 +148,17 @@ class Spline:
 
     def variances(self, tau: float | Array, rho: float | Array) -> Array:
         """`tau.shape + (n,)` of the parts: level, slope, the smooth part's `count - 2`, `count - 1` steps, no bumps."""
-        out = np.zeros((*np.shape(tau), 3 * self.count - 1))
+        out = np.ones((*np.shape(tau), self.parts.shape[1]))
+        out[..., self.local] = 0.0
         out[..., 0], out[..., 1] = LEVEL_SD**2, SLOPE_SD**2
         out[..., 2 : self.count] = np.square(tau)[..., None]
         out[..., self.count : 2 * self.count - 1] = np.square(rho)[..., None] * self.gaps
         return out
+
+    @property
+    def local(self) -> slice:
+        """Which of the parts are steps and bumps."""
+        return slice(self.count, 3 * self.count - 1)
 
     @cached_property
     def gaps(self) -> Array:
@@ -162,7 +178,7 @@ class Spline:
         steps = np.tril(np.ones((self.count, self.count)), -1)[:, :-1]
         wide = len(_BUMP) // 2
         bumps = sum(height * np.eye(self.count, k=i - wide) for i, height in enumerate(_BUMP))
-        local = np.concatenate([steps, bumps], axis=1)
+        local = np.concatenate([steps, bumps, *(() if self.besides is None else (self.besides,))], axis=1)
         return np.concatenate(
             [line @ np.linalg.inv(both @ line), bent @ vectors / np.sqrt(values), local - level @ local], axis=1
         )
@@ -208,6 +224,30 @@ class Spline:
         nodes = (edges[:-1, None] + 0.5 * h * (x + 1.0)).ravel()
         each = np.stack([BSpline(self.knots, e, _DEGREE).derivative(2)(nodes) for e in np.eye(self.count)], axis=1)
         return np.asarray(each.T @ (np.tile(0.5 * h * w, len(edges) - 1)[:, None] * each))
+
+
+def with_width(spline: Spline, seen: Array) -> Spline:
+    """The spline with the parts that go with the body's width, `seen` as `Observations.width`: `POWER` times its log,
+    and its errors. The log is smooth as that of k, by as much as it shows; where it is hidden, it is interpolated so
+    (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2.2 and 5.4)."""
+    s, log_width = seen[:, 0], np.log(seen[:, 1])
+    parts = spline.parts[:, : spline.count]
+    there, alike = spline.basis(s) @ parts, np.eye(len(s)) + np.exp(-np.abs(s[:, None] - s) / _ALIKE)
+
+    def known(tau: float, noise: float) -> tuple[float, Array, Array]:
+        """Log evidence of these sizes, and mean (p,) and covariance (p, p) of the coefficients."""
+        before = spline.variances(tau, 0.0)[: spline.count]
+        root = np.linalg.cholesky((there * before) @ there.T + noise**2 * alike)
+        white = np.linalg.solve(root, np.column_stack([log_width, there * before @ parts.T]))
+        log_evidence = -0.5 * float(white[:, 0] @ white[:, 0]) - float(np.sum(np.log(np.diag(root))))
+        covariance = (parts * before) @ parts.T - white[:, 1:].T @ white[:, 1:]
+        return log_evidence, white[:, 1:].T @ white[:, 0], covariance
+
+    _, mean, covariance = max((known(*sizes) for sizes in product(_ROUGH, _WIDTH_SD)), key=lambda one: one[0])
+    values, vectors = np.linalg.eigh(covariance)
+    kept = np.cumsum(np.maximum(values, 0.0)) > _SHOWN * np.sum(values)
+    errors = vectors[:, kept] * np.sqrt(values[kept])
+    return replace(spline, besides=POWER * np.column_stack([mean, errors]))
 
 
 # The beam's mass: weight alone tells only mu / k; a force of known size tells both.

@@ -21,7 +21,7 @@ from onebend.learning.condensed import condensed
 from onebend.learning.criticism import Criticism, criticise
 from onebend.learning.fit_data import FitData, following
 from onebend.learning.frequencies import GROSS, PredictedFrequencies, worst_off
-from onebend.learning.parameters import KNOWN, LEARNED, Block, Layout, LearnedMass, with_shared_shape
+from onebend.learning.parameters import KNOWN, LEARNED, POWER, Block, Layout, LearnedMass, with_shared_shape
 from onebend.learning.push_place import FAR, PlaceSearch, doubtful, moved_off, search_place, with_places
 from onebend.learning.start import start_of
 from onebend.progress import Progress, Silent, one_blas_thread
@@ -96,6 +96,14 @@ def without_section_errors(layout: Layout, variances: Array, log_k: Array, covar
     share = np.linalg.solve(root @ root.T, off).T
     kept = np.eye(len(log_k)) - share
     return kept @ log_k, kept @ covariance @ kept.T + off - share @ off
+
+
+def power_of_width(layout: Layout, variances: Array, log_k: Array, covariance: Array) -> tuple[float, float]:
+    """The power of the body's width that goes into k(s), and its sd, as `without_section_errors`."""
+    part, root = layout.spline.parts[:, layout.spline.local.stop], layout.stiffness_root(variances)
+    weights = np.linalg.solve(root @ root.T, part)
+    left = float(1.0 - weights @ part + weights @ covariance @ weights)
+    return POWER * float(weights @ log_k), POWER * max(left, 0.0) ** 0.5
 
 
 def loop_of(layout: Layout, mean: Array) -> float:
@@ -395,6 +403,11 @@ class Posterior:
             value = these.weights @ self.mean[where]
             values = zip(these.labels, these.units, value, after, these.prior_sd, strict=True)
             out += [Nuisance(n, u, float(v), float(s), float(p)) for n, u, v, s, p in values]
+        layout, p = self.layout, self.layout.spline.count
+        if layout.spline.besides is not None and layout.known is None:
+            found = self.mean[:p] - self.problem.level, self.covariance.of_shared[:p, :p]
+            power = power_of_width(layout, self.optimum.hyperparameters.part_variances, *found)
+            out.append(Nuisance("power of the body's width in k(s)", "1", *power, POWER))
         return out
 
     @property

@@ -16,7 +16,7 @@ from onebend.beam.model import Beam
 from onebend.beam.stiffness import Profile, UncertainStiffness, Uniform, by_legendre
 from onebend.errors import LearningError
 from onebend.learning.allowances import OF_ONE
-from onebend.learning.parameters import Spline
+from onebend.learning.parameters import Spline, with_width
 from onebend.learning.posterior import Nuisance
 from onebend.live.hyperparameters import LiveHyperparameters, OnlineSettings
 from onebend.live.key_frames import checked_frame
@@ -51,6 +51,7 @@ class OnlineLearner:
         start: Profile | float | UncertainStiffness,
         *,
         traced: ArrayLike | None = None,
+        width: ArrayLike | None = None,
         mass: float = 0.0,
         gain_sd: float = 0.0,
         settings: OnlineSettings = OnlineSettings(),
@@ -61,6 +62,7 @@ class OnlineLearner:
             length: m.
             marker_s: (m,) the tags' places along the beam.
             traced: (m,) which of them are points of the body's outline; None: none. Only what is across it counts.
+            width: (P, 2) places s and the body's width there [m], by its outline; None: not seen.
             start: stiffness to begin with [N m], a poor guess will do; or what a fit has found, to go on from there.
             mass: kg, needed where gravity acts in the plane.
             gain_sd: of the force sensor's common scale; it widens the band and is not learned.
@@ -73,9 +75,9 @@ class OnlineLearner:
         settings.check()
         self._held = _HELD if isinstance(start, UncertainStiffness) else frozenset()
         thickness, tag_size = (np.nan if v is None else v for v in (settings.thickness, settings.tag_size))
-        self.settings, self._gain_sd = settings, gain_sd
+        self.settings, self._gain_sd, spline = settings, gain_sd, Spline(settings.functions)
         self._session = session_of(
-            Spline(settings.functions),
+            spline if width is None else with_width(spline, np.asarray(width, dtype=float)),
             s,
             settings.sds,
             traced=None if traced is None else np.asarray(traced, dtype=bool),

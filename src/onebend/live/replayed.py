@@ -46,6 +46,7 @@ def replay(
         o.marker_s,
         start,
         traced=o.traced,
+        width=o.width,
         mass=o.stated.mass if np.isfinite(o.stated.mass) else 0.0,
         gain_sd=gain_sd,
         settings=settings_for(o, settings),

@@ -285,6 +285,7 @@ class MeasuredTags:
             remarks=(*self.remarks, *(() if outline is None else outline.remarks)),
             by_camera=by_camera(self.plane, detections.corners, tags, outline)[:, order],
             traced=None if traced is None else traced[order],
+            width=None if outline is None else outline.width,
         )
 
 

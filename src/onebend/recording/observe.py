@@ -243,5 +243,6 @@ def observations_of(
         rest_covariance=rest.covariance,
         by_camera=None if markers.by_camera is None else markers.by_camera[use],
         traced=markers.traced,
+        width=markers.width,
         **{name: values[use] for name, values in of_frames.items()},
     )

@@ -408,7 +408,9 @@ def track_of(
     strays = np.stack([jumps(points.px[:, i], STRAY) for i in range(POINTS)], axis=1)
     points = often_seen(replace(points, sd=np.where(strays, np.nan, points.sd)))
     points = with_end(points, middle, place, shift, at_end)
-    return replace(points, remarks=(*points.remarks, *width_remarks(place, half), *lost_remarks(found)))
+    both = (np.isfinite(found.away).all(axis=1).mean(axis=0) > LEAST_SHARE) & (middle.width > 0.0)
+    width = np.column_stack([place.stations.s, middle.width])[both]
+    return replace(points, width=width, remarks=(*points.remarks, *width_remarks(place, half), *lost_remarks(found)))
 
 
 def with_end(
@@ -447,7 +449,7 @@ def with_end(
 
 
 # Beside tags the outline is used only where it agrees with them. A tag may sit beside the middle of the body, by its
-# placement; as the body bends, it stays there.
+# placement, or seem to, where the rim of a round body lies below it; as the body bends, it stays there.
 
 MOST_READ = 160  # pictures at most are read beside tags: the errors of an outline last, and more pictures tell no more
 BESIDE = 3e-4  # m: one sd of where a tag's middle seems to lie, besides its placement
@@ -562,7 +564,8 @@ def contradicted(both: Markers, rec: entries.Recording) -> str:
             continue
         beside, aside = float(np.median(away[seen])), float(np.median(turn[seen]))
         moved, turned = float(np.max(np.abs(away[seen] - beside))), float(np.max(np.abs(turn[seen] - aside)))
-        name, most = f"tag {both.tag_id[tag]}", 3.0 * math.hypot(rec.tags.placement_sd, BESIDE)
+        lean = 0.0 if both.view is None else plane.lean_of(both.view, both.xy[seen, tag])
+        name, most = f"tag {both.tag_id[tag]}", 3.0 * math.hypot(rec.tags.placement_sd, BESIDE, lean * plane.HEIGHT_SD)
         if abs(beside) > most:
             return f"it passes {1e3 * abs(beside):.2g} mm beside the middle of {name}"
         if moved > MOVED * rec.beam.length:

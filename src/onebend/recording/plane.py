@@ -68,6 +68,12 @@ def camera_place(view: View) -> tuple[Array, float]:
     return np.asarray(place[:2]), float(abs(place[2]))
 
 
+def lean_of(view: View, xy: Array) -> float:
+    """By how much a point over the plane at `xy` (T, 2) m seems to lie beside its place, over its height: median."""
+    foot, distance = camera_place(view)
+    return float(np.median(np.linalg.norm(xy - foot, axis=1))) / distance
+
+
 def scale_of(view: View, length: float) -> float:
     """px/m along a straight body of this length [m] in the view's frame."""
     ends = project(view, np.array([[0.0, 0.0], [length, 0.0]]))

@@ -19,7 +19,7 @@ from onebend.learning.normal import (
     stiffness_mixture,
     target_of,
 )
-from onebend.learning.parameters import LEVEL_SD, SLOPE_SD, Spline
+from onebend.learning.parameters import LEVEL_SD, POWER, SLOPE_SD, Spline, with_width
 from tests.learning.bench import prior_precision
 
 S = np.linspace(0.0, 1.0, 101)
@@ -60,6 +60,25 @@ def test_a_bump_is_a_wider_spline_of_height_one() -> None:
     h = 1.0 / 20.0
     wide = BSpline.basis_element(0.5 + 2.0 * h * np.arange(-2.0, 3.0), extrapolate=False)(s)
     np.testing.assert_allclose(bump, 1.5 * np.nan_to_num(wide), atol=1e-12)
+
+
+def test_the_width_goes_into_log_k_with_an_unknown_power_and_its_own_errors() -> None:
+    """Of a body with a thicker node, hidden beside the clamp: the part is the log of the width where that is seen, and
+    its errors are largest where it is not."""
+    s = np.linspace(0.15, 1.0, 150)
+    log_width = np.log(0.01) - 0.3 * s + 0.2 * np.exp(-0.5 * ((s - 0.6) / 0.03) ** 2)
+    shown = np.exp(log_width + 0.004 * np.random.default_rng(2).standard_normal(len(s)))
+    spline = with_width(Spline(45), np.column_stack([s, shown]))
+    assert spline.besides is not None
+    at, rows = S[S > 0.15], spline.besides.T / POWER
+    away = np.interp(at, s, log_width) - spline.basis(at) @ rows[0]
+    sd, hidden = (np.linalg.norm(rows[1:] @ spline.basis(one).T, axis=0) for one in (at, np.zeros(1)))
+    assert hidden > 5.0 * np.median(sd)
+    assert 0.4 < np.sqrt(np.mean((away / sd) ** 2)) < 1.6
+    assert np.median(sd) < 0.004
+    variances = spline.variances(TAU, RHO)
+    assert len(variances) == spline.parts.shape[1]
+    np.testing.assert_array_equal(variances[spline.local.stop :], 1.0)
 
 
 def test_the_bands_of_a_mixture_are_its_quantiles() -> None:
