@@ -89,7 +89,9 @@ def clocks(runs: int = 40) -> None:
                 delay = 0.001 + rng.exponential(0.004, n) + 0.1 * (rng.random(n) < 0.02)
                 delay += 0.03 * ((moment > 0.4 * seconds) & (moment < 0.5 * seconds))
                 clock = StampedClock(StampTiming(delay=0.001))
-                clock.add(own * moment + 3e-4 * rng.standard_normal(n), moment + delay)
+                stamps = own * moment + 3e-4 * rng.standard_normal(n)
+                for stamp, arrival in zip(stamps.tolist(), (moment + delay).tolist(), strict=True):
+                    clock.add(stamp, arrival)
                 clocks_seen.append(clock)
             camera, force = clocks_seen
             when = np.linspace(0.0, seconds, 50)

@@ -21,7 +21,6 @@ from onebend.control.reach_set import stability_margin
 from onebend.errors import ObservationError
 from onebend.live.history import FrameReader
 from onebend.recording import beam_frame, camera, entries
-from onebend.recording.force import to_beam
 from onebend.records import Array, Detections, rotated, unit
 
 
@@ -110,9 +109,6 @@ class Eye:
         assert markers.view is not None
         by_camera = np.zeros((1, len(self._model), 3, 1)) if markers.by_camera is None else markers.by_camera
         shared = by_camera[:1] @ np.swapaxes(by_camera[:1], -1, -2)
-        assert rec.force is not None
-        assert rec.push is not None
-        sign = -1.0 if rec.force.acts_on == "robot" else 1.0
         self.rest_noise = float(np.sqrt(np.mean(np.var(markers.xy, axis=0))))
         self.camera_sd = float(np.sqrt(np.max(np.trace(shared[0, :, :2, :2], axis1=1, axis2=2))))
         xy, angle = markers.xy.mean(axis=0), markers.angle.mean(axis=0)
@@ -127,11 +123,8 @@ class Eye:
                 "Take the force off the beam, and check the tags' s and length_m."
             )
         self.reader = FrameReader(
-            offset=0.0, offset_sd=0.0, view=markers.view, tag_size=rec.tags.size,
-            turn=np.array([tag.turn for tag in (*rec.tags.on_base, *rec.tags.on_beam)]),
-            base_s=np.array([tag.s * rec.beam.length for tag in rec.tags.on_base]),
-            follows_base=False, known_xy=markers.xy[:1], camera_part=np.asarray(shared), rest_xy=xy,
-            rest_sd=self.rest_noise, to_beam=sign * to_beam(rec.force.rotation), tare=np.zeros(2), place=rec.push.at,
+            rec, offset=0.0, offset_sd=0.0, view=markers.view, follows_base=False, known_xy=markers.xy[:1],
+            camera_part=np.asarray(shared), rest_xy=xy, rest_sd=self.rest_noise, tare=np.zeros(2),
             gravity=np.asarray(gravity), largest=0.0, traced=np.zeros(len(xy), dtype=bool),
         )  # fmt: skip
 

@@ -10,6 +10,7 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Container
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -185,24 +186,31 @@ _TOUCHED_SHARE = 0.02  # and than this share of the largest displacement so far,
 class FrameReader:
     """What turns a frame's corners and the log's rows into what the live learner takes."""
 
+    rec: entries.Recording  # as described, with force and push
     offset: float  # s: log time less the frames' time
     offset_sd: float  # s
     view: View  # of the beam's frame
-    tag_size: float  # m
-    turn: Array  # (b + m,) rad of the tags, as written
-    base_s: Array  # (b,) m, places of the base's tags on its x axis
     follows_base: bool  # camera or base move
     known_xy: Array  # (T, m, 2) m of the frames so far
     camera_part: Array  # (T, m, 3, 3) what all tags share by the camera, as noise of each
     rest_xy: Array  # (m, 2) m, NaN where unknown
     rest_sd: float  # m, of a tag in one frame
-    to_beam: Array  # (2, 2), sign included: rows of the log times it are forces on the beam
     tare: Array  # (2,) N
-    place: float  # of the push; NaN where the log says it
     gravity: Array  # (2,) m/s^2
     largest: float  # m, displacement so far
     traced: BoolArray  # (m,) which markers are points of an outline; beside tags these are not read frame by frame
     points: PointReader | None = None  # where all are
+
+    @cached_property
+    def turn(self) -> Array:
+        """(b + m,) rad of the tags, as written."""
+        return np.array([tag.turn for tag in (*self.rec.tags.on_base, *self.rec.tags.on_beam)])
+
+    @cached_property
+    def to_beam(self) -> Array:
+        """(2, 2), sign included: rows of the log times it are forces on the beam."""
+        assert self.rec.force is not None
+        return (-1.0 if self.rec.force.acts_on == "robot" else 1.0) * to_beam(self.rec.force.rotation)
 
     def stands_in(self, ahead: float) -> float:
         """s: a frame up to so far after the newest row of the log takes its force. `ahead` [s]: usual lead of that
@@ -216,13 +224,15 @@ class FrameReader:
         """(m, 2) m, (m,) rad and (m, 3, 3): the beam's markers in its frame, from corners (b + tags, 4, 2) px or its
         outline; NaN where not seen."""
         noise = max(self.view.corner_sd, _LEAST_SD)
-        poses, misfit, _ = camera.measure_poses(self.view, corners[None], self.tag_size, noise=noise, refinements=1)
+        tags = self.rec.tags
+        poses, misfit, _ = camera.measure_poses(self.view, corners[None], tags.size, noise=noise, refinements=1)
         poses = camera.drop(poses, misfit > _WRONG * noise)
         poses = camera.Poses(poses.xy, poses.angle - self.turn, poses.covariance)
-        base = len(self.base_s)
+        base = len(tags.on_base)
         own = camera.part(poses, slice(base, None)) if self.points is None else self.points.poses(self.view, outline)
         if self.follows_base:
-            own = camera.relative_to(camera.together(camera.part(poses, slice(base)), self.base_s.tolist()), own)
+            along = [tag.s * self.rec.beam.length for tag in tags.on_base]
+            own = camera.relative_to(camera.together(camera.part(poses, slice(base)), along), own)
         read = self.traced if self.traced.all() else ~self.traced
         xy, angle, covariance = (_among(read, one[0]) for one in (own.xy, own.angle, own.covariance))
         seen = np.isfinite(xy).all(axis=1)
@@ -247,7 +257,8 @@ class FrameReader:
         nothing is to be learned from it: no tag, no force, or no sure contact."""
         xy, angle, covariance = self.poses(seen.corners, seen.outline if isinstance(seen, BodyFrame) else None)
         pushed = self.pushed(xy)
-        place = self.place if len(logged) == 2 else float(logged[2])
+        assert self.rec.push is not None
+        place = self.rec.push.at if len(logged) == 2 else float(logged[2])
         if pushed is None or not np.isfinite(logged).all() or not 0.0 < place <= 1.0:
             return None
         force = self.force_on_beam(logged[:2])
@@ -268,8 +279,8 @@ def reader_of(rec: entries.Recording, seen: Observations, outline: SeenOutline |
     Raises:
         ObservationError: there is no camera or no force.
     """
-    view, clock, clean, force, push = seen.source.view, seen.source.clock, seen.source.clean_force, rec.force, rec.push
-    if view is None or clock is None or clean is None or force is None or push is None:
+    view, clock, clean = seen.source.view, seen.source.clock, seen.source.clean_force
+    if view is None or clock is None or clean is None or rec.force is None or rec.push is None:
         raise ObservationError(f"{rec.name}: a film, a force log and where it acts are needed to go on frame by frame")
     m = len(seen.tag_id)
     shared = np.zeros((len(seen.time), m, 3, 3))
@@ -277,22 +288,17 @@ def reader_of(rec: entries.Recording, seen: Observations, outline: SeenOutline |
         shared = seen.by_camera @ np.swapaxes(seen.by_camera, -1, -2)
     away, few = np.linalg.norm(seen.xy - seen.rest_xy, axis=-1), read_before_fit(seen)
     variance = np.trace(seen.covariance[:, few, :2, :2], axis1=-2, axis2=-1)
-    sign = -1.0 if force.acts_on == "robot" else 1.0
     return FrameReader(
+        rec=rec,
         offset=clock.offset,
         offset_sd=clock.sd,
         view=view,
-        tag_size=rec.tags.size,
-        turn=np.array([tag.turn for tag in (*rec.tags.on_base, *rec.tags.on_beam)]),
-        base_s=np.array([tag.s * rec.beam.length for tag in rec.tags.on_base]),
         follows_base=any(remark.about == "base moves" for remark in seen.source.remarks),
         known_xy=seen.xy,
         camera_part=np.asarray(shared),
         rest_xy=seen.rest_xy,
         rest_sd=float(np.sqrt(np.nanmedian(variance))),
-        to_beam=sign * to_beam(force.rotation),
         tare=clean.tare,
-        place=push.at,
         gravity=seen.gravity[-1],
         largest=float(np.nanmax(away)) if np.isfinite(away).any() else 0.0,
         traced=np.zeros(m, dtype=bool) if seen.traced is None else seen.traced,

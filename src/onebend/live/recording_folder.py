@@ -481,7 +481,7 @@ class Logs:
         if isinstance(item, Frame):
             self._camera.add(item.stamp, item.arrival)
         elif self._force is not None and np.isfinite(item.stamp).any():
-            self._force.add(np.nanmax(item.stamp), item.arrival)  # rows that come together waited for the newest
+            self._force.add(float(np.nanmax(item.stamp)), item.arrival)  # rows that come together waited for the newest
 
     def begin(self, places: RecordingPlaces, first: Frame) -> None:
         """Make the files of a film that begins with `first`. Raises `OSError` where they cannot be."""

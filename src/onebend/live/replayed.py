@@ -10,7 +10,7 @@ from onebend.beam.stiffness import Profile, UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.force_error import ForceError, force_error, ramp
 from onebend.learning.frames import of_tags, push_places, usable_frames
-from onebend.learning.parameters import STATED_ERRORS, Spline, make_layout
+from onebend.learning.parameters import STATED_ERRORS
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.learner import OnlineLearner
 from onebend.progress import one_blas_thread
@@ -83,10 +83,8 @@ def _known(stated: float, wanted: float | None) -> float | None:
 
 def _sds(o: Observations, settings: OnlineSettings) -> dict[str, float]:
     """Of `STATED_ERRORS` but the mass, as the recording states them where the settings do not."""
-    at = make_layout(Spline(settings.functions), [o], [0])
-    blocks = {one.name: at.index[one.name, -1 if one.shared else 0] for one in STATED_ERRORS if one.name != "mass"}
-    known = {name: block.prior_sd for name, block in blocks.items() if len(block.prior_sd)}  # an outline has no places
-    return {name: float(sd[0]) for name, sd in known.items()} | dict(settings.sds)
+    known = {one.name: one.allowance([o], ("",)).prior_sd[0] for one in STATED_ERRORS if one.name != "mass"}
+    return {**known, **settings.sds}
 
 
 def _memory(error: ForceError, times: float) -> float:

@@ -150,35 +150,27 @@ class StampedClock:
     def __init__(self, timing: StampTiming, *, most: int = 20_000) -> None:
         self.timing = timing
         self._most = most
-        self._points = np.empty((1024, 2))
-        self._used, self._every, self._count, self._due = 0, 1, 0, 0
+        self._points: list[tuple[float, float]] = []
+        self._every, self._count, self._due = 1, 0, 0
         self._line = ClockLine(0.0, math.nan)
 
-    def add(self, stamp: ArrayLike, arrival: ArrayLike) -> None:
-        """Stamps (n,) or () and when they came in, s."""
+    def add(self, stamp: float, arrival: float) -> None:
+        """A stamp and when it came in, s."""
         if self.timing.host or not self.timing.own:
             return
-        stamps = np.atleast_1d(np.asarray(stamp, dtype=float))
-        rows = np.column_stack([stamps, np.broadcast_to(np.asarray(arrival, dtype=float), len(stamps))])
-        which = np.arange(self._count, self._count + len(rows)) % self._every == 0
-        self._count += len(rows)
-        rows = rows[which & np.isfinite(rows).all(axis=1)]
-        while self._used + len(rows) > len(self._points):
-            self._points = np.concatenate([self._points, np.empty_like(self._points)])
-        self._points[self._used : self._used + len(rows)] = rows
-        self._used += len(rows)
-        if self._used > self._most:
-            half = (self._used + 1) // 2
-            self._points[:half] = self._points[: self._used : 2]
-            self._used, self._every, self._due = half, 2 * self._every, 0
+        if self._count % self._every == 0 and math.isfinite(stamp) and math.isfinite(arrival):
+            self._points.append((stamp, arrival))
+        self._count += 1
+        if len(self._points) > self._most:
+            self._points, self._every, self._due = self._points[::2], 2 * self._every, 0
 
     @property
     def line(self) -> ClockLine:
         """The line through what came so far, made again when there is a tenth more."""
-        if self._used >= self._due:
-            points = self._points[: self._used]
+        if (used := len(self._points)) >= self._due:
+            points = np.array(self._points).reshape(-1, 2)
             self._line = clock_line(points[:, 0], points[:, 1], most_drift=self.timing.most_drift)
-            self._due = self._used + max(self._used // 10, 1)
+            self._due = used + max(used // 10, 1)
         return self._line
 
     def renew(self) -> None:
