@@ -104,6 +104,7 @@ def test_the_outline_has_the_end_as_a_point_of_which_what_is_along_it_counts() -
     assert without.width is not None
     s, width = without.width.T
     assert len(s) > 0.8 * stations.count
+    assert s[0] > stations.s[hidden][-1] + outline.BORDER / stations.count  # not beside what hides it
     np.testing.assert_allclose(width, 2.0 * half_width(s), rtol=0.02)
 
 

@@ -296,6 +296,7 @@ def with_tags(
 # The centreline: the width is the same in all pictures; flanks that contradict it, or their neighbours, are left out.
 
 OUTLIER = 4.0  # sds
+BORDER = 3  # stations: so near to one where it is hidden, the body's width is not read; a tag's paper has edges too
 LEAST_SHARE = 0.4  # of the stations that a point stands for, and of the frames in which it is seen
 LEAST_SEEN = 0.5  # of all places in all frames: with fewer the curve is not that of a body
 MOST_OFF = 0.1  # of its width, by which one body may seem to change it
@@ -409,6 +410,7 @@ def track_of(
     points = often_seen(replace(points, sd=np.where(strays, np.nan, points.sd)))
     points = with_end(points, middle, place, shift, at_end)
     both = (np.isfinite(found.away).all(axis=1).mean(axis=0) > LEAST_SHARE) & (middle.width > 0.0)
+    both = np.convolve(both, np.ones(2 * BORDER + 1), "same") > 2 * BORDER
     width = np.column_stack([place.stations.s, middle.width])[both]
     return replace(points, width=width, remarks=(*points.remarks, *width_remarks(place, half), *lost_remarks(found)))
 
