@@ -177,6 +177,12 @@ def test_beside_tags_the_set_up_and_the_planner_speak_of_the_tags() -> None:
     assert bent.tags().shape == (1, len(tags), 3)
 
 
+def test_without_its_outline_a_recording_shows_no_width() -> None:
+    width = np.column_stack([S, np.full(len(S), 0.01)])
+    assert read_alone(replace(beside_tags(), width=width)).width is None
+    assert read_alone(replace(traced(), width=width)).width is width
+
+
 def test_an_outline_that_spoils_the_fit_is_left_out_of_it() -> None:
     both = beside_tags()
     assert both.traced is not None

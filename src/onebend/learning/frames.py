@@ -134,7 +134,7 @@ def of_tags(one: Observations, kept: BoolArray) -> Observations:
     changes = _taken(one, ("tag_id", "marker_s", "rest_xy", "rest_angle", "rest_covariance", "traced"), kept)
     changes |= _taken(one, ("xy", "angle", "covariance", "by_camera"), every)
     if not np.any(changes.get("traced", False)):
-        changes["traced"] = None
+        changes |= {"traced": None, "width": None}  # which the outline shows
     if one.means is not None:
         changes["means"] = replace(one.means, **_taken(one.means, ("acceleration",), every))
     return replace(one, **changes)
