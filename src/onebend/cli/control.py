@@ -150,7 +150,7 @@ def _why(result: ShapeResult) -> str:
 
 def _sureness_of_shape(result: ShapeResult) -> str:
     if result.spread is None:
-        return common.NO_BAND
+        return "not known so close to buckling" if "stability" in result.limits else common.NO_BAND
     return f"{length_words(2.0 * result.spread.rms)} (2 sd over the targets' places, from the band on k(s))"
 
 

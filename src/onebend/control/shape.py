@@ -565,7 +565,7 @@ def _result(
         xy_error=targets.places(state.solved)[0] - targets.xy,
         angle_error=state.solved.angle(targets.s)[0] - targets.angle,
         rms=float(state.actuators.problem.length) * float(np.sqrt(result.cost / np.sum(targets.weight))),
-        spread=None if uncertain is None else spread(state, targets, uncertain),
+        spread=None if uncertain is None or result.near_buckling else spread(state, targets, uncertain),
         limits=(*limits, *(("stability",) if result.near_buckling else ())),
         open_freedoms=open_freedoms,
         converged=result.converged,

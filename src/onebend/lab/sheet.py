@@ -150,9 +150,10 @@ def tag_pages(sheet: Sheet) -> tuple[Figure, ...]:
 
 
 def strip_page(recording: Recording, *, page: str = "a4", rim: float = 1.0) -> Figure:
-    """A page with a recording's tags at their places along the beam, to lay the beam on; landscape if it is long.
+    """A page with a recording's tags at their places along the beam, to lay the beam on; landscape if it is long. Of
+    those on the base it has the first: others may stand anywhere on the bench.
     Raises `MechanicsError`: the beam is longer than the page, or tags overlap. Raises `RecordingError`: unknown id."""
-    entries = (*recording.tags.on_base, *recording.tags.on_beam)
+    entries = (*recording.tags.on_base[:1], *recording.tags.on_beam)
     family = recording.tags.family
     sheet = Sheet(tuple(entry.id for entry in entries), recording.tags.size, family, rim, page)
     tags = [printed_tag(entry.id, family) for entry in entries]
@@ -214,10 +215,8 @@ def _put_tag(page: Figure, sheet: Sheet, tag: PrintedTag, centre: Place) -> None
 
 def _furnish(page: Figure, sheet: Sheet, height: float, what: str = "cut along the marks") -> None:
     """Heading and two rulers, on a page of this height [mm]."""
-    first, last = min(sheet.ids), max(sheet.ids)
-    named = f"{first}" if first == last else f"{first} to {last}"
     base = height - 14.0
-    title = f"{sheet.family}, tags {named}; black squares {1e3 * sheet.size:g} mm wide; {what}"
+    title = f"{len(sheet.ids)} tags of {sheet.family}; black squares {1e3 * sheet.size:g} mm wide; {what}"
     _text(page, (LEFT, 10.0), title, 3.0)
     for y, text in (
         (14.5, "Print at 100 % (actual size, no fitting to the page). The right-hand side of this page is the"),

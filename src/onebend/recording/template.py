@@ -34,6 +34,7 @@ PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp")
 STUBS = {"poses.csv": "pose,id,x_m,y_m\n", "loads.csv": "pose,s,mass_kg\n", "clicks.csv": "pose,x_px,y_px\n"}
 TIME_NAME = re.compile(r"^(time|timestamp|stamp|t)([_ \[(/].*)?$", re.IGNORECASE)
 FIRST_ROWS = 1000  # of tracks, in which every marker is
+STILL, STILL_TIMES = 1.0, 2.0  # px RMS, beyond the motion of the stillest tag this many times: camera and clamp may shake
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ def found_in_folder(folder: Path, kind: Kind) -> FoundInFiles:
 
 
 def found_in_film(path: Path) -> FoundInFiles:
-    """Frame rate, date and tags. The tag that moves least is on the base; the others follow by their distance."""
+    """Frame rate, date and tags. Those that stand still are on the base, the others follow by their distance."""
     from onebend.recording.preview import LOOKS, spread_frames  # here: without a film nothing decodes one
     from onebend.recording.video import opened
 
@@ -125,11 +126,13 @@ def found_in_film(path: Path) -> FoundInFiles:
     middle = {tag: np.mean(where, axis=0) for tag, where in places.items() if 2 * len(where) >= len(frames)}
     if not middle:
         return FoundInFiles(notes=(f"{note}; no tag in it",))
-    base = min(middle, key=lambda tag: float(np.std(places[tag], axis=0).sum()))
-    beam = sorted(middle.keys() - {base}, key=lambda tag: float(np.linalg.norm(middle[tag] - middle[base])))
+    motion = {tag: float(np.std(places[tag], axis=0).sum()) for tag in middle}
+    base = sorted(tag for tag in middle if motion[tag] < STILL + STILL_TIMES * min(motion.values()))
+    beam = sorted(middle.keys() - {*base}, key=lambda tag: float(np.linalg.norm(middle[tag] - middle[base[0]])))
     values = {} if family == entries.FAMILIES[0] else {"tags": {"family": to_json(family)}}
-    known = f"tags {', '.join(map(str, sorted(middle)))}, of which tag {base} moves least"
-    return FoundInFiles(values, (base,), tuple(beam), (f"{note}; {known}",))
+    still, moving = (", ".join(map(str, sorted(tags))) or "none" for tags in (base, beam))
+    known = f"tags that stand still: {still}; that move: {moving}"
+    return FoundInFiles(values, tuple(base), tuple(beam), (f"{note}; {known}",), bare=not beam)
 
 
 def _tags_in(frames: list[FilmFrame]) -> tuple[str, tuple[tuple[Sighting, ...], ...]]:
@@ -180,6 +183,7 @@ def template(kind: Kind = "video", found: FoundInFiles = FoundInFiles(), *, ever
     tags = {**({"size_m": TO_FILL_IN} if camera else {}), **found.values.get("tags", {})}
     places = [{"id": str(one), "s": TO_FILL_IN} for one in found.beam or ((1, 2, 3) if kind == "weights" else ())]
     places = [] if kind == "photo" or found.bare else places or [{"id": TO_FILL_IN, "s": TO_FILL_IN}] * 3
+    base = (found.base or (TO_FILL_IN,)) if camera else ()
     listed = "[[points]]" if kind == "weights" else "[[tags.on_beam]]"
 
     def table(header: str, record: type, values: Mapping[str, str]) -> str:
@@ -191,7 +195,7 @@ def template(kind: Kind = "video", found: FoundInFiles = FoundInFiles(), *, ever
         f"\nformat = {FORMAT}\n",
         table("[beam]", entries.BeamEntry, kinds[kind]["beam"]),
         *([table("[tags]", entries.TagsEntry, tags)] if everything or camera else []),
-        *([table("[[tags.on_base]]", entries.TagEntry, {"id": str(*found.base)})] if camera else []),
+        *(table("[[tags.on_base]]", entries.TagEntry, {"id": str(one)}) for one in base),
         *(table(listed, entries.TagEntry, one) for one in places),
         *(table(f"[{name}]", SECTIONS[name], keys) for name, keys in values.items()),
     ]

@@ -104,6 +104,8 @@ def test_where_stability_bars_the_way_is_said() -> None:
     found = shape(SOFT, curve(S, np.stack([0.15 * S, 0.05 * np.sin(2 * np.pi * S)], axis=1)), pushes=[Pusher(1.0)])
     assert found.limits == ("stability",)
     assert 0.0 < found.margin < 0.01
+    uncertain = shape(SOFT, found.targets, pushes=[Pusher(1.0)], uncertain=band(0.02, 0.05))
+    assert uncertain.spread is None  # a small change of k would buckle the beam: the first order says nothing
 
 
 def test_near_buckling_is_warned_of() -> None:

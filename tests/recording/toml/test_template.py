@@ -11,8 +11,10 @@ import typer
 
 from onebend.cli import recordings as commands
 from onebend.errors import ObservationError, RecordingError
+from onebend.recording import template as template_module
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe
+from onebend.recording.tag_finder import Sighting
 from onebend.recording.template import (
     FoundInFiles,
     found_in_folder,
@@ -21,6 +23,7 @@ from onebend.recording.template import (
     template,
     write_template,
 )
+from onebend.recording.video import FilmFrame
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 TRAIN = EXAMPLES / "linear-beam" / "train"
@@ -37,12 +40,25 @@ def test_the_film_tells_its_tags_its_rate_and_its_date(tmp_path: Path) -> None:
         shutil.copy(TRAIN / name, tmp_path / name)
     found = found_in_folder(tmp_path, "video")
     assert (found.base, found.beam) == ((0,), (1, 2, 3))  # by what moves least, and then by the distance from it
-    assert "30 frames a second, 1280 x 720; tags 0, 1, 2, 3, of which tag 0 moves least" in found.notes[0]
+    assert "30 frames a second, 1280 x 720; tags that stand still: 0; that move: 1, 2, 3" in found.notes[0]
     assert "columns" not in found.values["force"]
     tags = data(write_template(tmp_path).read_text(encoding="utf-8"))["tags"]
     assert isinstance(tags, dict)
     assert [tag["id"] for tag in tags["on_base"]] == [0]
     assert [tag["id"] for tag in tags["on_beam"]] == [1, 2, 3]
+
+
+def test_tags_of_which_none_moves_are_all_on_the_base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    in_film = template_module._tags_in
+
+    def first_again(frames: list[FilmFrame]) -> tuple[str, tuple[tuple[Sighting, ...], ...]]:
+        family, (first, *_) = in_film(frames[:1])
+        return family, (first,) * len(frames)
+
+    monkeypatch.setattr(template_module, "_tags_in", first_again)
+    shutil.copy(TRAIN / "video.mp4", tmp_path)
+    tags = data(write_template(tmp_path).read_text(encoding="utf-8"))["tags"]
+    assert tags == {"on_base": [{"id": 0}, {"id": 1}, {"id": 2}, {"id": 3}]}
 
 
 def test_a_film_that_cannot_be_read_is_named_and_noted(tmp_path: Path) -> None:
