@@ -356,6 +356,7 @@ def test_show_draws_the_model(tmp_path: Path) -> None:
         (("reach", "x", "--goal", "0.12", "-o", "y"), "--goal needs 2 numbers: X Y"),
         (("reach", "x", "--goal", "1", "2", "--push-at", "tip"), "--push-at needs a number: S"),
         (("export", "x", "--to", "mujco", "-o", "y"), "Did you mean mujoco?"),
+        (("export", "x", "--to", "mujco", "-o", "y"), "'--to': 'mujco' is not one of"),
     ],
 )
 def test_a_wrong_option_says_what_it_needs(arguments: tuple[str, ...], words: str) -> None:

@@ -140,7 +140,7 @@ class Command(TyperCommand):
 
 def plainer(wrong: Any, params: Iterable[Any]) -> str:
     """The message of a wrong option, with the values that it needs, or the nearest word that it knows."""
-    text, named = wrong.message, getattr(wrong, "option_name", "")
+    text, named = wrong.message.replace("Value error, ", ""), getattr(wrong, "option_name", "")
     param = getattr(wrong, "param", None) or next((one for one in params if named and named in one.opts), None)
     if param is not None and ("requires" in text or "valid number" in text):
         count = "a number" if param.nargs == 1 else f"{param.nargs} numbers"

@@ -157,7 +157,10 @@ def _prepared(time: Array, signals: Array, name: str) -> _Signals:
     known = np.isfinite(signals)
     enough = known.sum(axis=0) >= max(_FEWEST, int(0.3 * len(time)))
     if len(time) < _FEWEST or not enough.any():
-        raise LearningError(f"{name}: {len(time)} samples are too few; {_FEWEST} or more of one signal are needed")
+        raise LearningError(
+            f"{name}: the free swing has {len(time)} samples; {_FEWEST} or more of one signal are needed. Film it for "
+            "longer, or say where it is with --from-s and --to-s"
+        )
     _refuse_unordered(time, name)
     known, signals = known[:, enough], signals[:, enough]
     value = np.where(known, signals - np.nanmean(signals, axis=0), 0.0)

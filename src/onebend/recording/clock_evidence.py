@@ -425,6 +425,7 @@ def lag_evidence(track: Track, rows: BinnedLog, offset: float, tau: float, *, wi
     """Log evidence of the log under a lag `tau` [s] over that under a quick sensor, each at its likeliest offset.
 
     The rows are those that every offset covers, up to a lag of `within` [s]; minus infinity where they are too few.
+    Not their ratios to no markers are compared: these depend on the noise that each lag finds.
     Where it is negative over a sensor without a lag, other quick ones are not tried."""
     apart, reach = max(LAGS_APART, OF_LAG * tau), LAG_REACH * max(tau, within)
     offsets = np.arange(offset - reach - MARGIN, offset + MARGIN + 0.5 * apart, apart)
@@ -436,7 +437,9 @@ def lag_evidence(track: Track, rows: BinnedLog, offset: float, tau: float, *, wi
     same = replace(rows, time=rows.time[known], force=rows.force[known])
 
     def at_best(lag: float) -> float:
-        return float(np.max(coarse_search(lagging(track, lag), same, offsets, np.zeros_like).log_posterior))
+        scan = coarse_search(lagging(track, lag), same, offsets, np.zeros_like)
+        best = laid_over(scan.track, same, offsets[[int(np.argmax(scan.log_posterior))]])[0]
+        return -np.inf if best is None else log_evidence(noise_factor(scan.noise, same.time[best.use]), best.model)
 
     quick, slow = at_best(QUICK[0]), at_best(tau)
     if slow > quick:

@@ -34,7 +34,7 @@ PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp")
 STUBS = {"poses.csv": "pose,id,x_m,y_m\n", "loads.csv": "pose,s,mass_kg\n", "clicks.csv": "pose,x_px,y_px\n"}
 TIME_NAME = re.compile(r"^(time|timestamp|stamp|t)([_ \[(/].*)?$", re.IGNORECASE)
 FIRST_ROWS = 1000  # of tracks, in which every marker is
-STILL, STILL_TIMES = 1.0, 2.0  # px RMS, beyond the motion of the stillest tag this many times: camera and clamp may shake
+STILL, STILL_TIMES = 1.0, 2.0  # px RMS, besides so many times the stillest tag's motion: camera and clamp may shake
 
 
 @dataclass(frozen=True)

@@ -101,7 +101,7 @@ def test_of_a_record_too_long_the_first_part_is_looked_at(monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("time", "signals", "says"),
     [
-        (TIME[:20], np.ones((20, 1)), "too few"),
+        (TIME[:20], np.ones((20, 1)), "20 samples; 30 or more"),
         (TIME[::-1], np.ones((len(TIME), 1)), "rise"),
         (TIME, np.ones((len(TIME), 1)), "moves"),
         (TIME, np.random.default_rng(0).standard_normal((len(TIME), 2)), "swings"),

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from onebend.recording.clock import fit_clock
-from onebend.recording.clock_features import FORGOTTEN, GaplessMarkers, lagging, lasting
+from onebend.recording.clock_evidence import QUICK, compared_rows, lag_evidence
+from onebend.recording.clock_features import FORGOTTEN, GaplessMarkers, film_features, lagging, lasting
 from onebend.recording.force import without_lag
 from onebend.recording.signals import low_pass, step
 from onebend.records import BoolArray, ForceLog, Markers
@@ -41,6 +42,17 @@ def test_a_slow_sensor_is_found_and_a_quick_one_is_not(push_s: float | None) -> 
 def test_a_delay_is_no_lag() -> None:
     log = PUSHED.log()
     assert found(replace(log, time=log.time + 0.8)) is None
+
+
+def test_a_lag_that_hardly_differs_has_hardly_any_evidence() -> None:
+    """For or against it: both fits are held against the same rows, whatever noise each of them finds."""
+    log = PUSHED.log()
+    noise = 0.13 * np.random.default_rng(2).standard_normal(log.force.shape)
+    noisy = replace(log, force=log.force + behind(replace(log, force=noise), 0.12).force)
+    film = film_features(PUSHED.markers(), None)
+    rows = compared_rows(film, noisy, (PUSHED.offset - 4.1, PUSHED.offset + 0.1))
+    assert rows is not None
+    assert abs(lag_evidence(film.tracks[0], rows, PUSHED.offset, 1.25 * QUICK[-1])) < 3.0
 
 
 def test_a_lag_is_undone() -> None:
