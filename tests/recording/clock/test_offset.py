@@ -11,7 +11,7 @@ from onebend.recording import clock_features
 from onebend.recording.clock import fit_clock
 from onebend.recording.clock_evidence import LinearModel, fit_noise, log_evidence, noise_factor
 from onebend.recording.clock_features import GaplessMarkers, levers, turning_spans
-from onebend.recording.force_noise import TimeSpans, covariance
+from onebend.recording.force_noise import NoisePrior, TimeSpans, covariance
 from onebend.recording.signals import from_clamp
 from onebend.records import ForceNoise
 from tests.recording.pushed import Pushed, force_at, table
@@ -172,7 +172,7 @@ def test_noise_is_recovered() -> None:
     log = pushed.log()
     values = log.force - pushed.true_force(log.time - pushed.offset)
     model = LinearModel(np.ones((len(log.time), 1)), 1, values)
-    found = fit_noise(log.time, model, ForceNoise(0.02, 0.01, 0.2, 0.01))
+    found = fit_noise(log.time, model, NoisePrior(ForceNoise(0.02, 0.01, 0.2, 0.01), np.log([5.0, 5.0, 2.5, 5.0])))
     assert found.white == pytest.approx(0.01, rel=0.3)
     assert found.coloured == pytest.approx(0.02, rel=0.4)
     assert found.tau == pytest.approx(0.3, rel=0.6)
