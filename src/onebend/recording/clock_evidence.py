@@ -286,7 +286,8 @@ def evidence_ratios(laid: Sequence[LaidOver | None], rows: BinnedLog, noise: For
     """Log evidence ratio of every offset; minus infinity where film and log overlap too little.
 
     Each offset covers other rows of the log. So the evidence with the markers is divided by that without them, of the
-    same rows. Without markers a changing force counts as a random walk, a constant one as noise."""
+    same rows. Without markers a changing force counts as a random walk, a constant one as noise of the size of the
+    first guess: whatever noise the markers leave, it is divided by the same."""
     log_ratio = np.full(len(laid), -np.inf)
     walk_variance = rows.walk_variance()
     of_rows: dict[bytes, tuple[NoiseFactor, float]] = {}
@@ -294,7 +295,7 @@ def evidence_ratios(laid: Sequence[LaidOver | None], rows: BinnedLog, noise: For
         if (key := film.use.tobytes()) not in of_rows:
             time = rows.time[film.use]
             nothing = LinearModel(np.full((len(time), 1), 10 * rows.largest), 1, rows.force[film.use])
-            walks = noise_factor(noise, time, walk_variance[film.use])
+            walks = noise_factor(rows.noise.centre, time, walk_variance[film.use])
             of_rows[key] = noise_factor(noise, time), log_evidence(walks, nothing)
         factor, without = of_rows[key]
         log_ratio[i] = log_evidence(factor, film.model) - without
