@@ -154,7 +154,7 @@ def test_svg_says_the_same_as_the_pdf() -> None:
 
 
 def test_the_pdf_is_whole_and_the_same_each_time() -> None:
-    pages = tag_pages(Sheet(tuple(range(40)), 0.03))
+    pages = tag_pages(Sheet(tuple(range(14)), 0.06))
     made = pdf(pages, "t")
     assert made == pdf(pages, "t")
     document = pypdfium2.PdfDocument(made)
@@ -163,7 +163,7 @@ def test_the_pdf_is_whole_and_the_same_each_time() -> None:
     finally:
         document.close()
     assert "Print at 100 %" in text
-    assert "size_m = 0.03 * M / 100" in text
+    assert "size_m = 0.06 * M / 100" in text
     names = [path.name for path in files_of(SVG, pages, "t")]
     assert names == ["t.svg", *(f"t-{i}.svg" for i in range(2, len(pages) + 1))]
 
