@@ -26,9 +26,10 @@ settings.load_profile("same")
 
 _COUNT = itertools.count()
 LONGEST = (
-    "test_outcomes.py", "test_drive.py", "test_end_to_end.py", "test_export.py", "test_rehearsal.py", "test_batch.py",
-    "test_help_examples.py", "test_push_place.py", "test_live.py", "test_push_errors.py", "test_attacked.py",
-    "test_rooms_page.py", "test_page.py", "test_filming_page.py", "test_extras.py", "test_killed.py",
+    "test_end_to_end.py", "test_live.py", "test_setup.py", "test_body.py", "test_outcomes.py", "test_export.py",
+    "test_drive.py", "test_rehearsal.py", "test_batch.py", "test_help_examples.py", "test_push_place.py",
+    "test_observe.py", "test_force_sensors.py", "test_attacked.py", "test_rooms_page.py", "test_page.py",
+    "test_filming_page.py", "test_driving.py", "test_strangers.py", "test_v4l2.py", "test_extras.py", "test_killed.py",
 )  # fmt: skip
 
 

@@ -30,7 +30,7 @@ S = np.linspace(0.1, 0.9, 30)
 
 def bare() -> Recording:
     """What recording.toml would say of a body with a tag at its clamp alone."""
-    rec = described()
+    rec = described(OFFSET, 0.0)
     return replace(rec, tags=replace(rec.tags, on_beam=()))
 
 

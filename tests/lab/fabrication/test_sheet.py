@@ -76,7 +76,9 @@ def test_tags_are_read_back_upright_and_at_their_size(page: str, size: float) ->
         assert last - first == pytest.approx(1e3 * size, abs=WITHIN)
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize(
+    "family", [pytest.param(one, marks=() if one == FAMILIES[-1] else pytest.mark.slow) for one in FAMILIES]
+)
 def test_every_family_prints(family: str) -> None:
     found = tags_in(page_image(pdf(tag_pages(Sheet((0, 5), 0.02, family)), "t")), family)
     assert sorted(found) == [0, 5]

@@ -24,7 +24,7 @@ from onebend.report.figures import check_png
 from onebend.report.overview import overview
 from tests.made_up import BEAM, LENGTH
 from tests.recording.pushed import Pushed, force_at, push as pushed
-from tests.recording.tracked import ROD, START, write_log
+from tests.recording.tracked import ROD, write_log
 
 pytestmark = pytest.mark.usefixtures("no_other_places")
 
@@ -58,7 +58,8 @@ def film_folder(folder: Path, *, markers: str = "", rows: str = "") -> Path:
     (folder / "curves.csv").write_text("\n".join(lines) + f"\n{rows}")
     write_log(folder, PUSHED)
     (folder / "recording.toml").write_text(
-        f'format = 1\n[beam]\nlength_m = {LENGTH}\n[markers]\nfile = "curves.csv"\nstart_s = {START}\n{markers}'
+        f'format = 1\n[beam]\nlength_m = {LENGTH}\n[markers]\nfile = "curves.csv"\n'
+        f"start_s = {PUSHED.offset}\nstart_uncertainty_s = 0.0\n{markers}"
         '[force]\nfile = "force.csv"\n[push]\nat_s = 1.0\n'
     )
     return folder
