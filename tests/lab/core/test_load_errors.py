@@ -15,7 +15,8 @@ from onebend.records import ForceNoise
 GRID = np.linspace(-1.0, 1.0, 41)
 
 
-@pytest.mark.parametrize("seed", [1060, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1008, 1123, 1135))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1060, 1008, 1123, 1135])
 def test_the_force_that_such_an_error_looks_like_does_not_mislead_the_clock(seed: int) -> None:
     """A search that takes the jump of the error at the first touch for force ends 0.5 to 1.3 s off, six of its sds."""
     bench = drawn(seed, mistaken=False)
