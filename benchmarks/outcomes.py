@@ -97,10 +97,10 @@ def worse(now: Mapping[str, float], before: Mapping[str, float]) -> list[str]:
     return out
 
 
-def stored() -> dict[str, float]:
-    """The means over the benches in the table."""
+def stored(benches: Sequence[tuple[str, int]] = BENCHES) -> dict[str, float]:
+    """The means over these benches in the table."""
     rows = tomllib.loads(TABLE.read_text(encoding="utf-8"))["bench"]
-    return means(rows)
+    return means([one for one in rows if (one["effects"], one["seed"]) in benches])
 
 
 def table(rows: Sequence[Row]) -> str:

@@ -57,7 +57,7 @@ def test_k_of_s_comes_with_its_sd(pushes: list[Observations]) -> None:
     estimator = StiffnessDistribution(functions=12)
     with pytest.raises(NotFittedError):
         estimator.predict([0.5])
-    found = estimator.fit(pushes)
+    found = estimator.fit(pushes[:2])
     s = np.linspace(0.05, 0.8, 9)
     k, sd = found.predict(s[:, None], return_std=True)
     np.testing.assert_array_equal(found.predict(s), k)
@@ -82,12 +82,14 @@ def test_the_modulus_of_a_beam_that_goes_with_its_section() -> None:
     assert StiffnessDistribution(functions=8).fit([push]).modulus_ is None
 
 
+@pytest.mark.slow
 def test_cross_validation_leaves_whole_recordings_out(pushes: list[Observations]) -> None:
     scores = cross_val_score(StiffnessDistribution(functions=8), pushes[:2], cv=LeaveOneOut())
     assert scores.shape == (2,)
     assert np.all((scores < 0.0) & (scores > -1e-3))
 
 
+@pytest.mark.slow
 def test_a_wider_gain_widens_the_sd(pushes: list[Observations]) -> None:
     one, other = (StiffnessDistribution(8, gain_sd=sd).fit(pushes[:1]).predict([0.3], True)[1][0] for sd in (0.0, 0.1))
     assert other > 1.5 * one

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -32,6 +33,7 @@ STRANGERS = {("recording", "beam")}  # the first stands above the second and doe
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
 
 
+@cache
 def imported_modules(path: Path) -> list[tuple[int, str]]:
     """Line and dotted name of everything of onebend that the file imports, lazily too."""
     modules: list[tuple[int, str]] = []

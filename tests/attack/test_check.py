@@ -59,7 +59,7 @@ CASES = [
 ]  # fmt: skip
 # It ends nothing, and is warned of: the film shows where the tool is.
 ELSEWHERE = Case("the push said elsewhere", edit(TOML, "at_s = 1.0", "at_s = 0.8"), "shows the tool at s = (0.9|1.0)")
-QUICK = {"sound", "x of opposite sign", "millinewtons"}  # two ids exchanged: test_mistakes.py
+QUICK = {"sound"}  # the sentences themselves: test_observe.py and test_attacked.py in other folders
 
 
 @pytest.mark.parametrize("case", params(CASES, QUICK))

@@ -131,6 +131,7 @@ SLOW = {
     "nothing", "start 6 s off", "grams, the mass known", "millinewtons", "kilonewtons, the mass known",
     "forces of opposite sign", "the robot's force", "one force mirrored", "the log of another push",
     "mass in grams", "a sensor at its end", "axes a quarter round", "forces exchanged", "place of the push in metres",
+    "a sensor with a slow filter",
 }  # fmt: skip
 
 

@@ -170,9 +170,8 @@ def test_nothing_named_reaches_the_terminal_as_a_sequence(name: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def seen() -> Overview:
-    """The bundled recording, before its tags are looked for."""
-    return overview(EXAMPLE)
+def seen(sound: Path) -> Overview:
+    return overview(sound)
 
 
 @pytest.mark.parametrize("name", ["[/]", "[bold]x", "\\[/]", "\x1b[2J[red]", "x" * 100_000])

@@ -158,26 +158,35 @@ def test_a_goal_is_met_in_the_set_up() -> None:
         reach_in_setup(BEAM, KNOWN, one, goal, settings=ReachSettings(max_force=0.1))
 
 
-def test_a_goal_within_the_error_of_the_length_takes_no_great_force() -> None:
+def of_unknown_length() -> SetUp:
+    """Known to 1 mm."""
     sure = setup()
     covariance = sure.covariance.copy()
     column = sure.columns["length"].start
-    covariance[column, column] = 0.005**2  # 1 mm
-    force = np.array([[0.0, 0.1]])
+    covariance[column, column] = 0.005**2
+    return replace(sure, covariance=covariance)
+
+
+def test_a_goal_within_the_error_of_the_length_takes_no_great_force() -> None:
+    sure, force = setup(), np.array([[0.0, 0.1]])
     goal = tips(sure, force)[0] + [5e-4, 0.0]
-    found = reach_in_setup(BEAM, KNOWN, replace(sure, covariance=covariance), goal)
+    found = reach_in_setup(BEAM, KNOWN, of_unknown_length(), goal)
     assert not found.converged
     assert "no force meets the goal" in found.reason
     assert found.predicted.holds(goal)
     assert found.error < 6e-4
     assert abs(found.reached[1] - goal[1]) < 3e-4  # what the beam can do, it does
     np.testing.assert_allclose(found.force, force[0], atol=0.1)
-    drifting = replace(sure, covariance=covariance, force_sd=0.01)
+    with pytest.raises(ControlError, match=r"no force in this set-up.*it was learned from .*Take a goal nearer"):
+        reach_in_setup(BEAM, KNOWN, sure, goal)
+
+
+@pytest.mark.slow
+def test_a_goal_that_noise_of_the_force_explains_takes_none_either() -> None:
+    drifting, goal = replace(of_unknown_length(), force_sd=0.01), tips(setup(), np.array([[0.0, 0.1]]))[0] + [5e-4, 0]
     error = reach_in_setup(BEAM, KNOWN, drifting, goal)
     assert error.error < 0.01 * BEAM.length
     assert error.predicted.ellipse().semi_axes[0] > 0.02 * BEAM.length
-    with pytest.raises(ControlError, match=r"no force in this set-up.*it was learned from .*Take a goal nearer"):
-        reach_in_setup(BEAM, KNOWN, sure, goal)
     with pytest.raises(ControlError):  # the place says nothing of the goal
         reach_in_setup(BEAM, KNOWN, replace(drifting, force_sd=0.2), goal)
 
@@ -229,8 +238,10 @@ def test_the_centre_of_a_tag_is_put_on_a_goal_and_its_error_is_said() -> None:
     one, force = tagged(), np.array([[0.05, 0.4]])
     there = one.bent(BEAM, KNOWN, force)
     goals = {4: there.tags()[0, 0, :2], 7: there.tags()[0, 1, :2], None: there.xy(np.ones(1))[0, 0]}
+    covariances = {}
     for number, goal in goals.items():
         found = reach_in_setup(BEAM, KNOWN, one, goal, tag=number)
+        covariances[number] = found.predicted.covariance
         np.testing.assert_allclose(found.force, force[0], atol=1e-4)
         np.testing.assert_allclose(found.reached[:2], goal, atol=1e-6)
         np.testing.assert_allclose(found.predicted.point, goal, atol=1e-6)
@@ -239,8 +250,8 @@ def test_the_centre_of_a_tag_is_put_on_a_goal_and_its_error_is_said() -> None:
     covariance[one.columns["across"].start + 1, one.columns["across"].start + 1] = 1e-3**2
     loose = replace(one, covariance=covariance)
     for number, goal in goals.items():  # that of the tag counts, and for no other point
-        before, after = (reach_in_setup(BEAM, KNOWN, x, goal, tag=number).predicted.covariance for x in (one, loose))
-        assert np.trace(after - before) == pytest.approx(1e-3**2 if number == 7 else 0.0, rel=0.2, abs=1e-12)
+        more = reach_in_setup(BEAM, KNOWN, loose, goal, tag=number).predicted.covariance - covariances[number]
+        assert np.trace(more) == pytest.approx(1e-3**2 if number == 7 else 0.0, rel=0.2, abs=1e-12)
     with pytest.raises(MechanicsError, match="had no tag 5; it had 4, 7"):
         reach_in_setup(BEAM, KNOWN, one, goals[7], tag=5)
     with pytest.raises(ControlError, match=r"^tag 7, at s = 1: "):

@@ -104,6 +104,7 @@ def test_a_goal_beyond_reach_names_the_nearest(bench: Path) -> None:
     assert "nearest reachable" in " ".join(done.output.split())
 
 
+@pytest.mark.slow  # the studio drives so as well: tests/studio/test_driving.py
 def test_a_drive_says_what_it_does(bench: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The command itself, with a cell on a played clock in the place of the virtual process."""
     rec = read_recording(bench / "like", filmed=False)

@@ -68,12 +68,13 @@ class Noting(CellRobot):
         super().release()
 
 
+@pytest.mark.slow  # the studio leads a point to its goal quickly enough: tests/studio/test_driving.py
 @pytest.mark.parametrize(
     ("hand", "by", "at_s", "factor"),
     [
         ("push", "pose", 0.8, 0.7),
-        pytest.param("hold", "pose", 1.0, 1.3, marks=pytest.mark.slow),
-        pytest.param("push", "force", 1.0, 0.7, marks=pytest.mark.slow),
+        ("hold", "pose", 1.0, 1.3),
+        ("push", "force", 1.0, 0.7),
     ],
 )
 def test_the_true_point_comes_to_rest_on_the_goal(

@@ -191,8 +191,7 @@ def _installed(name: str) -> bool:
 # draws
 
 
-@pytest.mark.parametrize("shape", [False, True])
-@pytest.mark.parametrize("stepped", [False, True])
+@pytest.mark.parametrize(("shape", "stepped"), [(False, False), (True, True)])
 def test_the_quantiles_of_many_draws_are_the_band(shape: bool, stepped: bool) -> None:
     uncertain = banded(shape=shape, stepped=stepped)
     s = np.array([0.0, 0.2, 0.39, 0.41, 0.7, 1.0])

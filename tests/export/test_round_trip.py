@@ -92,6 +92,7 @@ def test_the_function_is_exact() -> None:
         assert error("python", BEAMS[name], 2, PUSHES[1]) < 1e-8
 
 
+@pytest.mark.slow
 def test_what_newton_reads_of_usd_are_the_springs() -> None:
     newton, usd = pytest.importorskip("newton"), pytest.importorskip("pxr.Usd")
     stage = usd.Stage.CreateInMemory()

@@ -13,7 +13,7 @@ import pytest
 from onebend.errors import ObservationError, RecordingError
 from onebend.lab.bench import PushProfile
 from onebend.lab.designs import force_that_bends
-from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_virtual, virtual_recording
+from onebend.lab.virtual import VirtualBench, VirtualClock, VirtualRecording, observe_virtual, virtual_recording
 from onebend.recording.camera import with_checked_turns
 from onebend.recording.clock import fit_clock
 from onebend.recording.entries import BeamEntry, CameraEntry, TagsEntry
@@ -22,6 +22,7 @@ from onebend.recording.force_log import read_force_log, size_remarks, whole_log
 from onebend.records import ForceLog, Remark
 from tests.made_up import BEAM
 
+KNOWN = VirtualClock(uncertainty=0.0)  # which nothing searches for
 COLUMNS = ("time_s", "fx_N", "fy_N")
 GOOD = ["time_s,fx_N,fy_N"] + [f"{0.1 * i:.1f},{0.01 * i},{-0.5 - 0.01 * i}" for i in range(40)]
 
@@ -75,7 +76,7 @@ def test_rows_of_one_time_become_their_mean(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def pushed() -> VirtualRecording:
     peak = force_that_bends(BEAM, 1.0, 1.75)
-    return virtual_recording(VirtualBench(beam=BEAM, push=PushProfile(peak)), seed=0)
+    return virtual_recording(VirtualBench(beam=BEAM, push=PushProfile(peak), clock=KNOWN), seed=0)
 
 
 def long_log(log: ForceLog, before: float, after: float) -> ForceLog:
@@ -86,7 +87,7 @@ def long_log(log: ForceLog, before: float, after: float) -> ForceLog:
     return ForceLog(time, force + 0.01 * np.abs(force).max() * np.random.default_rng(0).standard_normal(force.shape))
 
 
-@pytest.mark.parametrize("before", [10.0, 100.0])
+@pytest.mark.parametrize("before", [pytest.param(10.0, marks=pytest.mark.slow), 100.0])
 def test_a_film_is_found_in_a_log_much_longer_than_it(pushed: VirtualRecording, before: float) -> None:
     clock = fit_clock(pushed.markers, long_log(pushed.log, before, 20.0), nan, inf, push_s=1.0).clock
     assert clock.found
@@ -189,8 +190,8 @@ def at_its_end_of(made: VirtualRecording, force: np.ndarray) -> list[Remark]:
 
 
 def test_a_sensor_at_its_end_is_named_without_noise_where_the_beam_goes_on_moving() -> None:
-    bench = VirtualBench(BEAM, PushProfile(0.5, before=1.5, rise=2.0, hold=1.0, fall=2.0, after=1.5, turn=0.0))
-    made = virtual_recording(bench, seed=1)
+    push = PushProfile(0.5, before=1.5, rise=2.0, hold=1.0, fall=2.0, after=1.5, turn=0.0)
+    made = virtual_recording(VirtualBench(BEAM, push, clock=KNOWN), seed=1)
     force = made.log.force
     assert at_its_end_of(made, force) == []  # held for a second: the beam stands still
     limited = force.copy()

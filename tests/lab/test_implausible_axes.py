@@ -11,7 +11,7 @@ import pytest
 from onebend.errors import ObservationError
 from onebend.lab.bench import PushProfile
 from onebend.lab.designs import force_that_bends
-from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_virtual, virtual_recording
+from onebend.lab.virtual import VirtualBench, VirtualClock, VirtualRecording, observe_virtual, virtual_recording
 from onebend.recording.beam_frame import RestShape
 from onebend.recording.force_axes import READINGS, Reading, axes_words, read_force
 from onebend.recording.tracks import angles_per_chord, check_angles
@@ -32,7 +32,7 @@ LINE = {
 @pytest.fixture(scope="module")
 def pushed() -> VirtualRecording:
     push = PushProfile(force_that_bends(BEAM, 1.0, 1.75), direction=radians(117.0))
-    return virtual_recording(VirtualBench(beam=BEAM, push=push), seed=0)
+    return virtual_recording(VirtualBench(beam=BEAM, push=push, clock=VirtualClock(uncertainty=0.0)), seed=0)
 
 
 @pytest.fixture(scope="module")

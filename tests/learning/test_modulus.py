@@ -99,7 +99,7 @@ def test_the_unit_goes_by_the_size() -> None:
     assert modulus_unit(np.array([np.nan]))[1] == "kPa"
 
 
-@pytest.mark.parametrize(("size", "known"), [("0.006", True), ("6", False)])
+@pytest.mark.parametrize(("size", "known"), [("0.006", True), pytest.param("6", False, marks=pytest.mark.slow)])
 def test_a_run_has_the_modulus_and_says_where_there_is_no_such_material(tmp_path: Path, size: str, known: bool) -> None:
     """A rod of 6 mm, and one that was written in millimetres, of a mass that is not known."""
     for file in WEIGHTS.iterdir():

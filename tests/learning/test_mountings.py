@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
+import pytest
 
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Gaussians, equidistant
@@ -27,6 +29,7 @@ def recording(number: int, factor: float) -> Observations:
     return with_source(replace(made, time=(1.0 + 0.1 * number) * made.time), name=f"number {number}")
 
 
+@cache
 def learned(*factors: float, settings: FitSettings = MOUNTED) -> Posterior:
     return fit([recording(i, factor) for i, factor in enumerate(factors)], settings=settings)
 
@@ -50,6 +53,7 @@ def test_two_recordings_that_disagree_widen_the_band_to_hold_what_lies_between()
     assert low < np.std([np.log(0.88), np.log(1.14)]) < high
 
 
+@pytest.mark.slow
 def test_many_recordings_tell_how_much_mountings_differ() -> None:
     factors = np.exp(0.1 * np.array([-1.3, -0.6, 0.0, 0.5, 1.4]))
     found = learned(*factors.tolist())
@@ -65,10 +69,10 @@ def test_many_recordings_tell_how_much_mountings_differ() -> None:
 
 
 def test_one_recording_says_that_it_cannot_show_it() -> None:
-    one, two = learned(1.0), learned(0.9, 1.1)
+    one, two = learned(1.0), learned(0.88, 1.14)
     assert np.isnan(one.mountings[0])
     assert BETWEEN not in {block.name for block in one.layout.blocks}
     assert "one recording cannot show them" in mounting_words(one)
     assert "Between the recordings k(s) differs by about" in mounting_words(two)
-    assert mounting_words(learned(0.9, 1.1, settings=FitSettings(functions=9, allowances=frozenset()))) == ""
+    assert mounting_words(learned(0.88, 1.14, settings=FitSettings(functions=9, allowances=frozenset()))) == ""
     assert np.sqrt(np.sum(BETWEEN_SD**2)) < 0.1

@@ -91,8 +91,8 @@ def wrong_force(made: Observations, seed: int, sd: float) -> Observations:
 
 @pytest.fixture(scope="module")
 def fits() -> list[Posterior]:
-    """Eight seeds of noisy tags and a wandering force log."""
-    made = [wrong_force(observed(SOFT, forces(60), noise=NOISE, seed=s), s, 0.005) for s in range(8)]
+    """Five seeds of noisy tags and a wandering force log."""
+    made = [wrong_force(observed(SOFT, forces(60), noise=NOISE, seed=s), s, 0.005) for s in range(5)]
     return [fit([one], 0.03, settings=replace(IDEAL, functions=12)) for one in made]
 
 

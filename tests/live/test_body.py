@@ -30,7 +30,7 @@ S = np.linspace(0.1, 0.9, 30)
 
 def bare() -> Recording:
     """What recording.toml would say of a body with a tag at its clamp alone."""
-    rec = described()
+    rec = described(OFFSET, 0.0)
     return replace(rec, tags=replace(rec.tags, on_beam=()))
 
 
@@ -46,7 +46,10 @@ def painted(middle: Array | None, seed: int, tags: Array | None = None) -> Pictu
     empty, xy = ground()
     mean = empty.copy()
     if middle is not None:
-        away, _ = cKDTree(middle).query(xy, distance_upper_bound=2.0 * HALF_WIDTH)
+        beside = 2.0 * HALF_WIDTH
+        near = np.all((xy > np.min(middle, axis=0) - beside) & (xy < np.max(middle, axis=0) + beside), axis=1)
+        away = np.full(len(xy), np.inf)
+        away[near] = cKDTree(middle).query(xy[near], distance_upper_bound=beside)[0]
         body = np.clip(0.5 + (HALF_WIDTH - away) * WIDTH / 0.26, 0.0, 1.0).reshape(HEIGHT, WIDTH)
         body[np.hypot(*xy.T).reshape(HEIGHT, WIDTH) < 0.012] = 0.0  # the tag lies on it
         mean = (1.0 - body) * empty + body * LEVEL

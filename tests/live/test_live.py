@@ -93,7 +93,8 @@ def test_nothing_that_is_lost_late_or_doubled_stops_it() -> None:
 
 def test_after_the_last_frame_the_band_is_that_of_learn() -> None:
     """Of the same film and log, undisturbed, read as a recording is."""
-    live = Live(described(), settings=NEVER, beside=False)
+    rec = described(OFFSET, 0.0)
+    live = Live(rec, settings=NEVER, beside=False)
     follow(live, play(frames(), log(), OFFSET, ROUGH, seed=1))
     run = live.finish(fitting=QUICK)
     assert run.posterior is not None
@@ -101,9 +102,7 @@ def test_after_the_last_frame_the_band_is_that_of_learn() -> None:
     film, finder = frames(), Finder("tag36h11")
     corners = np.concatenate([track_block(part, range(4), finder).corners for part in in_blocks(film, 32)])
     found = Detections(np.array([one.time for one in film]), np.arange(4), corners, *film[0].luma.shape[::-1])
-    whole = learn_observed(
-        observe_markers(described(), measure_markers(found, described()), log()), fitting=QUICK
-    ).posterior
+    whole = learn_observed(observe_markers(rec, measure_markers(found, rec), log()), fitting=QUICK).posterior
     assert whole is not None
     (here, sd), (there, batch_sd) = run.posterior.stiffness.log_at(S), whole.stiffness.log_at(S)
     assert abs(np.median(sd / batch_sd) - 1.0) < 0.25  # of other frames

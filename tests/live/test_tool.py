@@ -46,7 +46,7 @@ def with_tool(picture: Picture, time: float) -> Picture:
 @cache
 def streamed() -> Seen:
     film = [replace(one, luma=with_tool(one.luma, one.time)) for one in frames()]
-    live = Live(described(), settings=LiveSettings(first_review=np.inf), beside=False)
+    live = Live(described(OFFSET, 0.0), settings=LiveSettings(first_review=np.inf), beside=False)
     follow(live, play(film, log(), OFFSET))
     return live._seen()
 

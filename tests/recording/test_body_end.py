@@ -52,7 +52,7 @@ def pictures_of(ends: float = 1.0) -> tuple[Planes, ...]:
     return tuple(painted(b, ends=ends, seed=i) for i, b in enumerate(BENDS.tolist()))
 
 
-@pytest.mark.parametrize("ends", [0.985, 0.995, 1.0])
+@pytest.mark.parametrize("ends", [pytest.param(0.985, marks=pytest.mark.slow), 0.995, 1.0])
 def test_the_end_lies_where_it_was_painted(ends: float) -> None:
     _, _, scale = stations_and_hidden()
     found = ends_in(pictures_of(ends), BENDS) - scale * LENGTH * (ends - 1.0)

@@ -38,6 +38,7 @@ from tests.made_up import LENGTH, MARKER_S, TAGS
 from tests.recording.pushed import Pushed
 
 PUSHED = Pushed()
+ROUGHLY = VideoEntry(Path("video.mp4"), start=249.4, start_uncertainty=2.0)
 
 
 def recording(**changes: object) -> Recording:
@@ -49,7 +50,7 @@ def recording(**changes: object) -> Recording:
         beam=BeamEntry(LENGTH, mass=0.07),
         tags=TagsEntry(size=0.012, on_base=(TagEntry(0, 0.0),), on_beam=tags),
         camera=None,
-        video=VideoEntry(Path("video.mp4"), start=249.4, start_uncertainty=2.0),
+        video=VideoEntry(Path("video.mp4"), start=PUSHED.offset, start_uncertainty=0.0),  # which nothing searches for
         force=ForceEntry(Path("force.csv")),
         push=PushEntry(at=1.0),
         gravity=None,
@@ -69,7 +70,7 @@ def observed(log: ForceLog | None = None, rec: Recording | None = None, **settin
 
 
 def test_force_and_markers_meet_on_one_clock() -> None:
-    found = plain()
+    found = observed(rec=recording(video=ROUGHLY))
     assert found.source.clock is not None
     assert found.source.clean_force is not None
     assert found.time - found.source.clock.offset == pytest.approx(PUSHED.markers().time[found.frame])
@@ -110,7 +111,7 @@ def test_a_film_at_a_wrong_rate_is_told_to_look_at_it() -> None:
 
 def test_where_frames_were_lost_and_closed_up_not_only_the_axes_are_suspected() -> None:
     short = replace(PUSHED.markers(), time=0.85 * PUSHED.markers().time)
-    remarks = assemble(recording(), short, PUSHED.log(), None, ObserveSettings()).source.remarks
+    remarks = assemble(recording(video=ROUGHLY), short, PUSHED.log(), None, ObserveSettings()).source.remarks
     (remark,) = (one for one in remarks if one.about == "axes")
     assert "the film lasts 6.77 s), or frames are missing" in remark.text
 

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 import pytest
 
 from onebend.report.overview import overview
-from tests.studio.test_page import CHROMIUM, browsed, dragged, force, ready, served_over
+from tests.studio.conftest import CHROMIUM
+from tests.studio.test_page import browsed, dragged, force, ready, served_over
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page, WebSocketRoute
+    from playwright.sync_api import Browser, Page, WebSocketRoute
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "linear-beam"
 pytestmark = [
@@ -36,8 +37,8 @@ def address(lab: Path) -> Iterator[str]:
 
 
 @pytest.fixture
-def page(address: str) -> Iterator[Page]:
-    with browsed(address) as shown:
+def page(browser: Browser, address: str) -> Iterator[Page]:
+    with browsed(browser, address) as shown:
         yield shown
 
 

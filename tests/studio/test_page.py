@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-if TYPE_CHECKING:
-    from playwright.sync_api import Page, WebSocketRoute
+from tests.studio.conftest import CHROMIUM
 
-CHROMIUM = next((one for one in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if one), None)
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page, WebSocketRoute
+
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here to show the page in")
 
 
@@ -41,19 +42,16 @@ def served_over(folder: Path) -> Iterator[str]:
 
 
 @contextmanager
-def browsed(address: str, refused: tuple[str, ...] = ()) -> Iterator[Page]:
-    """A page on it; what it complains of fails the test, but for answers of the statuses `refused`."""
-    from playwright.sync_api import sync_playwright
-
+def browsed(browser: Browser, address: str, refused: tuple[str, ...] = ()) -> Iterator[Page]:
+    """A page on it, as on a first visit; what it complains of fails the test, but for answers of the statuses
+    `refused`."""
     wrong: list[str] = []
-    with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        shown = browser.new_context(viewport={"width": 1100, "height": 760}).new_page()
+    with browser.new_context(viewport={"width": 1100, "height": 760}) as context:
+        shown = context.new_page()
         shown.on("pageerror", lambda error: wrong.append(str(error)))
         shown.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
         shown.goto(address)
         yield shown
-        browser.close()
     assert not [one for one in wrong if not any(f"status of {status} " in one for status in refused)]
 
 
@@ -64,8 +62,8 @@ def address(folder: Path) -> Iterator[str]:
 
 
 @pytest.fixture
-def page(address: str) -> Iterator[Page]:
-    with browsed(address) as shown:
+def page(browser: Browser, address: str) -> Iterator[Page]:
+    with browsed(browser, address) as shown:
         yield shown
 
 
@@ -128,13 +126,15 @@ def test_drag_the_tip_read_the_force_reload_and_go_on(page: Page) -> None:
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
 
 
-@pytest.mark.parametrize(("learned", "room"), [(True, "Bend"), (False, "Recordings")])
-def test_the_first_visit_opens_what_there_is_to_do(folder: Path, tmp_path: Path, learned: bool, room: str) -> None:
-    if not learned:
-        shutil.copytree(folder / "hung weights", tmp_path / "hung weights")
-    with served_over(folder if learned else tmp_path) as address, browsed(address) as page:
-        page.locator("nav a[aria-current=page]", has_text=re.compile(f"^{room}$")).wait_for()
-        assert page.title().startswith(room)
+def test_the_first_visit_opens_what_there_is_to_do(
+    browser: Browser, address: str, folder: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(folder / "hung weights", tmp_path / "hung weights")
+    with served_over(tmp_path) as unlearned:
+        for place, room in ((address, "Bend"), (unlearned, "Recordings")):
+            with browsed(browser, place) as page:
+                page.locator("nav a[aria-current=page]", has_text=re.compile(f"^{room}$")).wait_for()
+                assert page.title().startswith(room)
 
 
 @pytest.mark.slow

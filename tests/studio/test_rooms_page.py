@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.studio.conftest import ROOT
-from tests.studio.test_page import CHROMIUM, browsed, served_over
+from tests.studio.conftest import CHROMIUM, ROOT
+from tests.studio.test_page import browsed, served_over
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page, WebSocketRoute
+    from playwright.sync_api import Browser, Page, WebSocketRoute
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here to show the page in")
 TRAIN = ROOT / "examples" / "linear-beam" / "train"
@@ -38,8 +38,8 @@ def address(own_folder: Path) -> Iterator[str]:
 
 
 @pytest.fixture
-def page(address: str) -> Iterator[Page]:
-    with browsed(address) as shown:
+def page(browser: Browser, address: str) -> Iterator[Page]:
+    with browsed(browser, address) as shown:
         yield shown
 
 
@@ -120,8 +120,10 @@ def test_a_recording_is_mended_while_it_is_checked_and_saved(page: Page, own_fol
 
 
 @pytest.mark.slow
-def test_what_is_open_stays_open_and_what_cannot_be_opened_says_why(address: str, own_folder: Path) -> None:
-    with browsed(address, refused=("413", "422")) as page:
+def test_what_is_open_stays_open_and_what_cannot_be_opened_says_why(
+    browser: Browser, address: str, own_folder: Path
+) -> None:
+    with browsed(browser, address, refused=("413", "422")) as page:
         stays_open(page, own_folder)
 
 

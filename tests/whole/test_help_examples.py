@@ -119,18 +119,18 @@ def completed(shell: str, **asked: str) -> str:
     return done.stdout
 
 
-def test_a_shell_completes_commands_options_and_choices() -> None:
+def test_a_shell_completes_commands_and_options() -> None:
     assert completed("bash", COMP_WORDS="onebend re", COMP_CWORD="1").split() == [
         name for name in COMMANDS if name.startswith("re")
     ]
     assert completed("bash", COMP_WORDS="onebend new --mo", COMP_CWORD="2").split() == ["--mocap"]
-    assert '"--mocap"' in completed("zsh", _TYPER_COMPLETE_ARGS="onebend new --moc")
-    asked = {"_TYPER_COMPLETE_FISH_ACTION": "get-args", "_TYPER_COMPLETE_ARGS": "onebend le"}
-    assert completed("fish", **asked).startswith("learn\t")
 
 
 @pytest.mark.slow
-def test_a_shell_completes_choices() -> None:
+def test_other_shells_do_too_and_choices_are_completed() -> None:
+    assert '"--mocap"' in completed("zsh", _TYPER_COMPLETE_ARGS="onebend new --moc")
+    asked = {"_TYPER_COMPLETE_FISH_ACTION": "get-args", "_TYPER_COMPLETE_ARGS": "onebend le"}
+    assert completed("fish", **asked).startswith("learn\t")
     choices = completed("bash", COMP_WORDS="onebend learn --method ", COMP_CWORD="3")
     assert choices.split() == ["fit", "regression", "paper"]
 

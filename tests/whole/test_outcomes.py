@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
+import pytest
+
 from benchmarks import outcomes
 
 
-def test_virtual_benches_are_learned_and_bent_as_well_as_before() -> None:
-    rows = [asdict(outcomes.row(*bench)) for bench in outcomes.BENCHES]
-    assert outcomes.worse(outcomes.means(rows), outcomes.stored()) == []
+@pytest.mark.parametrize("benches", [[("all", 1)], pytest.param(outcomes.BENCHES, marks=pytest.mark.slow)])
+def test_virtual_benches_are_learned_and_bent_as_well_as_before(benches: tuple[tuple[str, int], ...]) -> None:
+    rows = [asdict(outcomes.row(*bench)) for bench in benches]
+    assert outcomes.worse(outcomes.means(rows), outcomes.stored(benches)) == []
 
 
 def test_what_is_worse_is_named() -> None:

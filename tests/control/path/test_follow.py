@@ -75,7 +75,7 @@ def test_time_is_stretched_where_a_limit_wants_it_and_only_there(way: FollowedPa
 
 
 def test_a_bound_on_the_force_holds_all_along() -> None:
-    held = follow_goals(SOFT, circle(), pushes=(Pusher(1.0, max_force=0.35),), settings=PathSettings(rate=20.0))
+    held = follow_goals(SOFT, circle(), pushes=(Pusher(1.0, max_force=0.35),), settings=PathSettings(rate=10.0))
     size = np.linalg.norm(held.forces[:, 0], axis=1)
     assert np.max(size) == pytest.approx(0.35, rel=1e-9)
     assert any("limit from" in one for one in held.warnings)

@@ -73,7 +73,7 @@ def test_files_name_tags(tmp_path: Path) -> None:
 
 def test_the_commands_put_a_tag_on_its_goals(tmp_path: Path) -> None:
     save_model(tmp_path / "model.json", BEAM, written_by="a test", uncertain=KNOWN, setup=ONE)
-    rows = [f"{t},{x!r},{y!r}" for t, (x, y) in enumerate(GOALS.tolist())]
+    rows = [f"{t},{x!r},{y!r}" for t, (x, y) in enumerate(GOALS[1:].tolist())]
     goals = written(tmp_path, "\n".join(["time_s,x_m,y_m", *rows]) + "\n")
 
     def asked(*words: str) -> dict[str, Any]:
@@ -85,11 +85,11 @@ def test_the_commands_put_a_tag_on_its_goals(tmp_path: Path) -> None:
     found = asked("reach", "--goal", x, y, "--tag", "7")
     assert found["tag"] == 7
     np.testing.assert_allclose(found["force_N"], FORCES[1], atol=1e-4)
-    asked("path", "--goals", str(goals), "--tag", "7", "--rate-Hz", "20", "-o", str(tmp_path / "out"))
+    asked("path", "--goals", str(goals), "--tag", "7", "--rate-Hz", "4", "-o", str(tmp_path / "out"))
     way = np.genfromtxt(tmp_path / "out" / "path.csv", delimiter=",", names=True)
-    led = np.column_stack([way["force_1_x_N"], way["force_1_y_N"]])[[0, 20, 40]]
+    led = np.column_stack([way["force_1_x_N"], way["force_1_y_N"]])[[0, 4]]
     there = ONE.bent(BEAM, KNOWN, led).tags()[:, 1, :2]
-    assert np.max(np.linalg.norm(there - GOALS, axis=1)) < 1e-4
+    assert np.max(np.linalg.norm(there - GOALS[1:], axis=1)) < 1e-4
     held = asked("shape", "--targets", str(written(tmp_path, f"tag,x_m,y_m\n7,{x},{y}\n")))
     there = ONE.bent(BEAM, KNOWN, np.array(held["force_N"])).tags()[0, 1, :2]
     assert np.linalg.norm(there - GOALS[1]) < 1e-4

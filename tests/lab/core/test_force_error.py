@@ -20,7 +20,7 @@ from tests.lab.from_truth import observe_from_truth
 from tests.learning.bench import IDEAL
 from tests.made_up import with_source, with_stated
 
-pytestmark = pytest.mark.usefixtures("no_other_places")
+pytestmark = pytest.mark.usefixtures("no_other_places", "known_clock")
 
 PEAK = 0.4
 STIFFNESS = Powers((0.02, 0.004))

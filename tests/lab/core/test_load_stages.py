@@ -65,6 +65,7 @@ def test_the_clock_is_found_though_the_logs_error_changes_with_the_load(seed: in
     assert abs(steps.offset - BENCH.clock.offset) < 3.0 * steps.sd < 0.4
 
 
+@pytest.mark.slow
 def test_no_step_is_claimed_where_the_logs_error_has_none() -> None:
     even = replace(BENCH, sensor=ForceSensor(white_sd=0.004))
     clean = observe_virtual(virtual_recording(even, seed=0)).source.clock

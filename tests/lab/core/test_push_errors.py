@@ -10,7 +10,7 @@ import pytest
 
 from onebend.lab.bench import ForceSensor, PushProfile
 from onebend.lab.designs import force_that_bends
-from onebend.lab.virtual import DeclaredValues, VirtualBench, observe_virtual, virtual_recording
+from onebend.lab.virtual import DeclaredValues, VirtualBench, VirtualClock, observe_virtual, virtual_recording
 from onebend.learning.fit_data import FitData, fit_data
 from onebend.learning.parameters import Layout, Spline, make_layout
 from onebend.learning.posterior import Posterior, fit
@@ -89,13 +89,15 @@ def learned(
     scale: tuple[float, float] = (1.0, 1.0),
     place_sd: float = PLACE_SD,
     direction_sd: float = DIRECTION_SD,
+    start_sd: float = 0.0,
 ) -> Posterior:
     """A push of known beam, place and axes, through the real way, with the tolerances that are said (Observations)."""
     peak = force_that_bends(SOFT, bend, 1.75) / at_s
     sensor = ForceSensor(white_sd=0.02 * peak, coloured_sd=0.02 * peak)
     bench = VirtualBench(
-        beam=SOFT, push=PushProfile(peak, at_s=at_s), sensor=sensor, declared=DeclaredValues(push_s=said)
-    )
+        beam=SOFT, push=PushProfile(peak, at_s=at_s), sensor=sensor, declared=DeclaredValues(push_s=said),
+        clock=VirtualClock(uncertainty=2.0 * start_sd),
+    )  # fmt: skip
     made = virtual_recording(bench, seed=1)
     cos, sin = np.cos(turn), np.sin(turn)
     log = replace(made.log, force=made.log.force @ np.array([[cos, sin], [-sin, cos]]) * np.array(scale))
@@ -109,7 +111,7 @@ def found(one: Posterior, name: str) -> tuple[float, float]:
 
 def test_what_the_push_is_off_by_widens_the_band() -> None:
     s = np.linspace(0.1, 0.9, 9)
-    known, free = learned(place_sd=0.0, direction_sd=0.0), learned()
+    known, free = learned(place_sd=0.0, direction_sd=0.0, start_sd=1.0), learned(start_sd=1.0)
     assert not any(n.name.endswith(("push place", "force axes")) for n in known.nuisances())
     width = [np.log(one.band(s).high / one.band(s).low) for one in (known, free)]
     assert np.all(width[1] > 0.95 * width[0])  # sizes of log k's prior are sampled: a few per cent

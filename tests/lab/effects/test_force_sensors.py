@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers
 from onebend.lab.bench import ForceSensor, PushProfile
-from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_virtual, virtual_recording
+from onebend.lab.virtual import VirtualBench, VirtualClock, VirtualRecording, observe_virtual, virtual_recording
 from onebend.learning.allowances import EVERY_ALLOWANCE, LAG_SD, hysteresis
 from onebend.learning.instruments import setup_of
 from onebend.learning.optimizer import FitSettings
@@ -35,7 +35,8 @@ def logged(change: Array, made: VirtualRecording) -> VirtualRecording:
 
 @cache
 def recorded(sensor: str) -> VirtualRecording:
-    made = virtual_recording(BENCH, seed=4)
+    known = VirtualClock(uncertainty=2.0 if sensor == "slow" else 0.0)  # a lag looks like another start
+    made = virtual_recording(replace(BENCH, clock=known), seed=4)
     force = PUSH.force(made.log.time - BENCH.clock.offset)
     if sensor == "slow":
         kept = np.exp(-0.01 / LAG)

@@ -30,7 +30,7 @@ from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
 from tests.lab.from_truth import observe_from_truth
 
-pytestmark = pytest.mark.usefixtures("no_other_places")
+pytestmark = pytest.mark.usefixtures("no_other_places", "known_clock")
 
 S = np.linspace(0.0, 1.0, 401)
 BEAM = Beam(0.15, random_stiffness("smooth", np.random.default_rng(3)))

@@ -77,6 +77,7 @@ def test_tags_in_space_are_seen_where_they_stand(tmp_path: Path) -> None:
     assert np.all(truth["tag_xyaz"][:, 0, 3] == 0.004)
 
 
+@pytest.mark.slow
 def test_a_moving_camera_moves_all_tags_alike(tmp_path: Path) -> None:
     filming = real(shake=0.4, drift=3.0)
     folder = film(filming, tmp_path / "shake", seed=3)

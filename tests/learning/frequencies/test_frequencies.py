@@ -139,7 +139,7 @@ def test_a_film_and_a_frequency_are_fitted_together() -> None:
     source = replace(film.source, place_seen=True)
     film = replace(film, source=source, frequencies=(MeasuredFrequency(5.0, 0.005, 1, (0.0, 0.0)),))
     (ready,) = with_mass([film])
-    posterior = fit([ready], start_of([ready], None), settings=QUICK)
+    posterior = fit([ready], start_of([ready], None), settings=replace(QUICK, functions=8))
     assert posterior.mass is not None
     assert posterior.mass.identified
     (found,) = posterior.frequencies

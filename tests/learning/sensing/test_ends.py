@@ -60,7 +60,7 @@ def test_an_end_without_a_swing_is_that_of_a_power_of_time(power: int) -> None:
     time = np.arange(150) / FPS
     left = np.clip((END - time) / 0.8, 0.0, 1.0)
     away = []
-    for seed in range(8):
+    for seed in range(4):
         (one,) = told(bent(left**power * (1.0 - 0.4 * left) * (time > 0.4), seed), clear=4.0)
         assert one.end.sd < (0.003, 0.08, 0.08)[power - 1]
         away.append((one.end.time - END) / one.end.sd)

@@ -73,7 +73,7 @@ def kernel(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
     return read
 
 
-@pytest.mark.parametrize("packed", ["MJPG", "YUYV", "GREY"])
+@pytest.mark.parametrize("packed", ["MJPG", "YUYV", pytest.param("GREY", marks=pytest.mark.slow)])
 def test_pictures_come_with_the_kernels_stamps(kernel: Callable[..., Any], packed: str) -> None:
     got = kernel(f"/dev/video0,size=640x480,fps=60,packed={packed}", 15)
     assert f"asked: 640x480 {packed}" in got["asked"]
@@ -109,8 +109,8 @@ def test_a_pulled_cable_and_a_silent_camera_end_it(kernel: Callable[..., Any]) -
     ("camera", "says"),
     [
         ({"ERRNO": errno.EBUSY}, "Another program has it"),
-        ({"ERRNO": errno.EACCES}, "usermod -aG video"),
-        ({"META": 1}, "Try the other one"),
+        pytest.param({"ERRNO": errno.EACCES}, "usermod -aG video", marks=pytest.mark.slow),
+        pytest.param({"META": 1}, "Try the other one", marks=pytest.mark.slow),
     ],
 )
 def test_a_camera_that_refuses_says_what_to_do(kernel: Callable[..., Any], camera: dict[str, int], says: str) -> None:

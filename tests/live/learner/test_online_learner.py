@@ -25,7 +25,7 @@ from tests.live.streamed_recording import IDEAL_LIVE, NOISE, PLAIN, S, any_beam,
 SIZES = ForceNoise(white=0.001, coloured=0.003, tau=0.3, walk=1e-6, load=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_live_and_batch_agree(seed: int) -> None:
     made = wrong_force(observed(SOFT, forces(120), noise=NOISE, seed=seed), seed, 0.005)
     batch = fit([made], 0.03, settings=replace(IDEAL, functions=12)).stiffness.log_at(S)
@@ -49,11 +49,11 @@ def squared_error(made: Observations, log_k: Array, settings: OnlineSettings) ->
 
 
 def test_error_over_band_is_chi_square_over_seeds() -> None:
-    """Sums over 8 beams, within the 99.9 % limits. The sizes are those that beams and errors are drawn with: a band
+    """Sums over 5 beams, within the 99.9 % limits. The sizes are those that beams and errors are drawn with: a band
     that is averaged over all sizes that might be is right on the average over such beams (below), and too wide for
     even ones."""
     settings = replace(IDEAL_LIVE, functions=8, roughness=3.0, steps=0.1, adapt=False, marker_noise=1.0)
-    settings, total, seeds = replace(settings, force=SIZES), 0.0, 8
+    settings, total, seeds = replace(settings, force=SIZES), 0.0, 5
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
         log_k = smooth_beam(rng)
@@ -62,7 +62,7 @@ def test_error_over_band_is_chi_square_over_seeds() -> None:
 
 
 def test_so_it_is_where_all_sizes_are_drawn_and_learned() -> None:
-    settings, total, seeds = replace(IDEAL_LIVE, functions=8, marker_noise=1.0), 0.0, 6
+    settings, total, seeds = replace(IDEAL_LIVE, functions=8, marker_noise=1.0), 0.0, 4
     settings = replace(settings, force=SIZES)
     for seed in range(seeds):
         rng = np.random.default_rng(seed)

@@ -119,7 +119,7 @@ def test_weight_is_the_inverse_covariance_of_edge_errors() -> None:
     assert corner_weight(corners) @ np.cov(errors_seen.T) == pytest.approx(np.eye(8), abs=0.03)
 
 
-@pytest.mark.parametrize("calibrated", [True, False])
+@pytest.mark.parametrize("calibrated", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_covariance_is_honest(calibrated: bool) -> None:
     """Normalised squared errors over noisy films have the median of chi-squared with 3 degrees of freedom.
 
