@@ -9,9 +9,17 @@ import pytest
 
 from onebend.recording import clock_features
 from onebend.recording.clock import fit_clock
-from onebend.recording.clock_evidence import LinearModel, fit_noise, log_evidence, noise_factor
-from onebend.recording.clock_features import GaplessMarkers, levers, turning_spans
-from onebend.recording.force_noise import TimeSpans, covariance
+from onebend.recording.clock_evidence import (
+    LinearModel,
+    compared_rows,
+    evidence_ratios,
+    fit_noise,
+    laid_over,
+    log_evidence,
+    noise_factor,
+)
+from onebend.recording.clock_features import GaplessMarkers, film_features, levers, turning_spans
+from onebend.recording.force_noise import NoisePrior, TimeSpans, covariance
 from onebend.recording.signals import from_clamp
 from onebend.records import ForceNoise
 from tests.recording.pushed import Pushed, force_at, table
@@ -171,10 +179,36 @@ def test_noise_is_recovered() -> None:
     log = pushed.log()
     values = log.force - pushed.true_force(log.time - pushed.offset)
     model = LinearModel(np.ones((len(log.time), 1)), 1, values)
-    found = fit_noise(log.time, model, ForceNoise(0.02, 0.01, 0.2, 0.01))
+    found = fit_noise(log.time, model, NoisePrior(ForceNoise(0.02, 0.01, 0.2, 0.01), np.log([5.0, 5.0, 2.5, 5.0])))
     assert found.white == pytest.approx(0.01, rel=0.3)
     assert found.coloured == pytest.approx(0.02, rel=0.4)
     assert found.tau == pytest.approx(0.3, rel=0.6)
+
+
+@pytest.mark.parametrize("push_s", [None, 1.0])
+def test_what_the_model_of_the_force_leaves_is_not_taken_for_noise_of_the_log(push_s: float | None) -> None:
+    sizes, times = [], []
+    for seed in (1, 2, 3):
+        pushed = Pushed(film=12.0, seed=seed, white=0.02, coloured=0.02, tau=0.12, rate=200.0)
+        noise = fit_clock(pushed.markers(), pushed.log(), pushed.offset, 2.0, push_s=push_s).noise
+        assert noise is not None
+        sizes.append(noise.coloured)
+        times.append(noise.tau)
+    assert np.median(sizes) == pytest.approx(0.02, rel=0.1)
+    assert 0.1 < np.median(times) < 0.25
+
+
+def test_two_noises_are_compared_over_the_same_model_without_the_film() -> None:
+    pushed = Pushed(seed=3)
+    film, log = film_features(pushed.markers(), None), pushed.log()
+    rows = compared_rows(film, log, (pushed.offset, pushed.offset))
+    assert rows is not None
+    laid = laid_over(film.tracks[0], rows, np.array([pushed.offset]))
+    assert laid[0] is not None
+    small, large = (ForceNoise(white=w, coloured=w, tau=0.3, walk=0.1 * w) for w in (0.001, 0.1))
+    ratios = [evidence_ratios(laid, rows, noise)[0] for noise in (small, large)]
+    alone = [log_evidence(noise_factor(noise, rows.time[laid[0].use]), laid[0].model) for noise in (small, large)]
+    assert ratios[0] - ratios[1] == pytest.approx(alone[0] - alone[1], abs=1e-6)
 
 
 def test_filtered_share_of_the_coloured_noise() -> None:
