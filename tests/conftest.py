@@ -5,16 +5,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import replace
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 from onebend.learning import posterior
-from onebend.recording import force
-from onebend.recording.clock import ClockFit, fit_offset
-from onebend.recording.clock_features import film_features
-from onebend.records import ForceLog, Markers
 
 settings.register_profile(
     "same",
@@ -51,20 +46,6 @@ def no_other_places() -> Iterator[None]:
     """Fits take the push where it is written, and do not ask whether it acts elsewhere: half the time of a fit."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(posterior, "search_place", lambda *_, **__: None)
-        yield
-
-
-@pytest.fixture(scope="module")
-def known_clock() -> Iterator[None]:
-    """Film and log have the clock that is written, and the sensor is quick: neither is searched for, which takes longer
-    than many a fit."""
-
-    def as_written(markers: Markers, log: ForceLog, stated: float, *_: float, push_s: float | None = None) -> ClockFit:
-        film = film_features(markers, push_s)
-        return replace(fit_offset(film, log, stated, 0.0), rate=film.rate)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(force, "fit_clock", as_written)
         yield
 
 

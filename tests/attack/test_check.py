@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.attack.family import Case, Harm, edit, params, rewrite, withstood
+from tests.attack.family import Case, Harm, edit, rewrite, withstood
 from tests.attack.victim import Victim
 
 TOML, FORCE = "recording.toml", "force.csv"
@@ -59,10 +59,10 @@ CASES = [
 ]  # fmt: skip
 # It ends nothing, and is warned of: the film shows where the tool is.
 ELSEWHERE = Case("the push said elsewhere", edit(TOML, "at_s = 1.0", "at_s = 0.8"), "shows the tool at s = (0.9|1.0)")
-QUICK = {"sound"}  # the sentences themselves: test_observe.py and test_attacked.py in other folders
 
 
-@pytest.mark.parametrize("case", params(CASES, QUICK))
+@pytest.mark.slow  # the sound one is checked in tests/test_cli.py, what is said is tested with the parts that say it
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_check_says_what_would_end_learning(victim: Victim, film: Path, case: Case) -> None:
     case.harm(film)
     withstood(victim.attack(["check", "rec"], film.parent), case, seconds=40.0)

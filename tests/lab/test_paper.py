@@ -58,6 +58,8 @@ from onebend.results.observations_file import load_observations, save_observatio
 from onebend.text_files import to_json
 from tests import made_up
 
+pytestmark = pytest.mark.usefixtures("no_other_places")
+
 TINY = StudySettings(seed=3, quick=True, video=False)
 
 

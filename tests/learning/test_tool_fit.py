@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import Posterior, fit
 from onebend.records import Observations, ToolTrack
 from tests.learning.bench import SOFT, forces, observed
@@ -32,7 +33,8 @@ def place(found: Posterior) -> tuple[float, float]:
 
 
 def test_the_tool_tells_the_place_and_narrows_the_band() -> None:
-    alone, seen = (fit([pushed(sd=sd)]) for sd in (None, 2e-4))
+    quick = FitSettings(functions=16, most_frames=60, first_frames=30)
+    alone, seen = (fit([pushed(sd=sd)], settings=quick) for sd in (None, 2e-4))
     (_, loose), (found, sd) = place(alone), place(seen)
     assert abs(found + OFF) < 3.0 * sd
     assert sd < 4e-4 < loose

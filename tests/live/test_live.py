@@ -186,7 +186,7 @@ def test_one_clock_for_both_is_stated_in_their_own_times() -> None:
 
 
 def test_what_the_live_learner_does_not_know_waits_for_the_end() -> None:
-    rec = described()
+    rec = described(OFFSET, 0.0)
     for other, words in (
         (replace(rec, beam=replace(rec.beam, stiffness_along="even")), "stiffness_along"),
         (replace(rec, force=None, push=None), "no [force]"),

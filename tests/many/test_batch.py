@@ -48,7 +48,7 @@ def learn_quickly(recording: Any, **more: Any) -> Run:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _quickly_and_in_this_process(no_other_places: None, known_clock: None) -> Iterator[None]:  # noqa: ARG001
+def _quickly_and_in_this_process(no_other_places: None) -> Iterator[None]:  # noqa: ARG001
     """The start of processes and the fit are not what is tested."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(running, "available_cores", lambda: 1)

@@ -15,7 +15,7 @@ from onebend.many.tasks import TaskSettings, items_of, on_worker
 from onebend.report.sentences import significant
 from tests.many.stems import stem
 
-pytestmark = pytest.mark.usefixtures("no_other_places", "known_clock")
+pytestmark = pytest.mark.usefixtures("no_other_places")
 
 FILES = {
     "batch.json",

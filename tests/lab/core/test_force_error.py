@@ -11,7 +11,7 @@ from scipy.linalg import toeplitz
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers
 from onebend.lab.bench import ForceSensor, PushProfile
-from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_virtual, virtual_recording
+from onebend.lab.virtual import VirtualBench, VirtualClock, VirtualRecording, observe_virtual, virtual_recording
 from onebend.learning.force_error import force_error
 from onebend.learning.instruments import setup_of
 from onebend.learning.posterior import Posterior, fit
@@ -20,11 +20,12 @@ from tests.lab.from_truth import observe_from_truth
 from tests.learning.bench import IDEAL
 from tests.made_up import with_source, with_stated
 
-pytestmark = pytest.mark.usefixtures("no_other_places", "known_clock")
+pytestmark = pytest.mark.usefixtures("no_other_places")
 
 PEAK = 0.4
 STIFFNESS = Powers((0.02, 0.004))
-BENCH = VirtualBench(Beam(0.15, STIFFNESS), PushProfile(PEAK, hold=0.6), sensor=ForceSensor(white_sd=0.003 * PEAK))
+SENSOR, CLOCK = ForceSensor(white_sd=0.003 * PEAK), VirtualClock(uncertainty=0.0)
+BENCH = VirtualBench(Beam(0.15, STIFFNESS), PushProfile(PEAK, hold=0.6), sensor=SENSOR, clock=CLOCK)
 STEPS = np.array([[0.12, -0.10], [-0.06, 0.14]]) * PEAK  # while the load grows, while it falls
 S = np.linspace(0.05, 0.9, 35)
 
@@ -171,7 +172,7 @@ def test_the_log_after_a_film_that_ends_while_the_beam_is_held_is_no_rest() -> N
 
 
 def test_long_rests_take_no_knots_from_the_push() -> None:
-    long = replace(BENCH, push=replace(BENCH.push, before=60.0, after=30.0))
+    long = replace(BENCH, push=replace(BENCH.push, before=20.0, after=10.0))
     found = [
         force_error(seen(virtual_recording(bench, seed=0)), np.linspace(252.0, 255.0, 30)) for bench in (BENCH, long)
     ]

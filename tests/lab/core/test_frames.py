@@ -19,7 +19,7 @@ from onebend.records import Observations
 from tests.learning.bench import IDEAL
 from tests.made_up import with_source
 
-pytestmark = pytest.mark.usefixtures("no_other_places", "known_clock")
+pytestmark = pytest.mark.usefixtures("no_other_places")
 
 SOFT = Beam(0.15, Powers((0.02, 0.03)))
 PEAK = force_that_bends(SOFT, 1.0, 1.75)
@@ -30,7 +30,7 @@ def pushed(fall: float, *, noise: float = 0.02) -> Observations:
     """Held for a while, then let go within `fall` [s]."""
     sensor = ForceSensor(white_sd=noise * PEAK, coloured_sd=noise * PEAK)
     push = PushProfile(PEAK, hold=1.5, fall=fall, after=1.5)
-    bench = VirtualBench(beam=SOFT, push=push, sensor=sensor, fps=30.0, clock=VirtualClock(uncertainty=0.02))
+    bench = VirtualBench(beam=SOFT, push=push, sensor=sensor, fps=30.0, clock=VirtualClock(uncertainty=0.0))
     return observe_virtual(virtual_recording(bench, seed=2))
 
 

@@ -24,18 +24,26 @@ from onebend.lab.random_bench import (
     random_bench,
     with_random_effects,
 )
-from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_virtual, true_stiffness, virtual_recording
+from onebend.lab.virtual import (
+    VirtualBench,
+    VirtualClock,
+    VirtualRecording,
+    observe_virtual,
+    true_stiffness,
+    virtual_recording,
+)
 from onebend.learning.instruments import setup_of
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
 from tests.lab.from_truth import observe_from_truth
 
-pytestmark = pytest.mark.usefixtures("no_other_places", "known_clock")
+pytestmark = pytest.mark.usefixtures("no_other_places")
 
 S = np.linspace(0.0, 1.0, 401)
 BEAM = Beam(0.15, random_stiffness("smooth", np.random.default_rng(3)))
 PUSH = PushProfile(force_that_bends(BEAM, 1.0, 1.75))
-BENCH = VirtualBench(BEAM, PUSH, camera=TagNoise(white_xy=1e-7, white_angle=1e-5))
+KNOWN = VirtualClock(uncertainty=0.0)
+BENCH = VirtualBench(BEAM, PUSH, camera=TagNoise(white_xy=1e-7, white_angle=1e-5), clock=KNOWN)
 
 
 def made(seed: int = 0, **effects: object) -> VirtualRecording:
