@@ -109,6 +109,7 @@ def test_a_sensor_without_such_an_error_stays_sharp(found: Posterior) -> None:
     assert np.mean(sharp) < 0.75 * np.mean(wide)
 
 
+@pytest.mark.slow
 def test_two_pushes_with_steps_of_their_own() -> None:
     other = replace(BENCH, push=replace(BENCH.push, direction=1.4), name="other")
     pushes = [seen(stepped(STEPS)), seen(stepped(-STEPS[::-1], after=0.0, bench=other, seed=1))]

@@ -44,6 +44,7 @@ def test_band_and_bench_come_back_with_the_model(known: Posterior, model: Path) 
     assert np.array_equal(stored.uncertain.covariance, known.stiffness.covariance)
 
 
+@pytest.mark.slow
 def test_a_plan_in_words(model: Path) -> None:
     found = run("plan", model, "--quiet", "--max-tip-angle-deg", "60")
     assert found.exit_code == 0, found.output

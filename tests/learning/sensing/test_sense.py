@@ -205,6 +205,7 @@ def test_a_beam_without_stiffness_is_refused_in_words() -> None:
         sense(replace(SOFT, stiffness=Table((0.0, 1.0), (1e-300, 1e-300))), observed(SOFT, few()))
 
 
+@pytest.mark.slow
 def test_the_legend_of_the_force_stands_clear_of_its_title() -> None:
     found = sense(SOFT, observed(SOFT, few(4), noise=(3e-5, 1e-3)), settings=SOUGHT)
     figure = sensing(replace(found, prior_share=np.ones_like(found.prior_share)))

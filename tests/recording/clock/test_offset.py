@@ -185,7 +185,7 @@ def test_noise_is_recovered() -> None:
     assert found.tau == pytest.approx(0.3, rel=0.6)
 
 
-@pytest.mark.parametrize("push_s", [None, 1.0])
+@pytest.mark.parametrize("push_s", [None, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_what_the_model_of_the_force_leaves_is_not_taken_for_noise_of_the_log(push_s: float | None) -> None:
     sizes, times = [], []
     for seed in (1, 2, 3):
