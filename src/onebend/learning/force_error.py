@@ -19,7 +19,7 @@ from scipy.linalg.lapack import dtpqrt
 
 from onebend.recording.force import TARE_SPAN, within
 from onebend.recording.force_noise import LOAD, TimeSpans, covariance, displacement, load_changes, own_time
-from onebend.recording.signals import even_knots, low_pass, low_pass_power, spline_weights
+from onebend.recording.signals import low_pass, low_pass_power
 from onebend.records import Array, CleanForce, ForceNoise, IntArray, Observations
 
 _MARGIN = 0.2  # s, kept away from contact when a rest is read, besides the low-pass's memory:
@@ -191,7 +191,9 @@ def force_error(observations: Observations, time: Array) -> ForceError:
     rest_time, rest_force = _in_rests(observations, span, 0.5 * spacing, _MARGIN + _MEMORY / cutoff)
     everything = np.concatenate([time, rest_time])
     begin, end = float(np.min(everything)), float(np.max(everything))
-    knots = even_knots(begin, end, spacing)
+    count = max(int(np.ceil((end - begin) / spacing)) + 3, 4)
+    step = (end - begin) / (count - 3)
+    knots = np.asarray(begin + step * (np.arange(count) - 1.0), dtype=float)
     sd = observations.force_sd
     return ForceError(
         knots=knots,
@@ -255,6 +257,15 @@ def ramp(clean: CleanForce | None, knots: Array) -> Array:
         return np.zeros((len(knots), 2))
     taken = np.stack([np.interp(knots, clean.zero_time, column) for column in clean.zero.T], axis=1)
     return np.asarray(clean.zero[0] - taken)
+
+
+def spline_weights(knots: Array, time: Array) -> Array:
+    """(T, K) values at `time` of cubic B-splines centred at the evenly spaced `knots` (they sum to 1 inside)."""
+    u = np.abs(time[:, None] - knots) / (knots[1] - knots[0])
+    near = 2.0 / 3.0 - u**2 + 0.5 * u**3
+    far = (2.0 - np.minimum(u, 2.0)) ** 3 / 6.0
+    weights = np.where(u < 1.0, near, far)
+    return np.asarray(weights / np.sum(weights, axis=1, keepdims=True))
 
 
 def _spread(time: Array, rows: IntArray, step: float) -> IntArray:

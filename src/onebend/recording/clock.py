@@ -120,16 +120,14 @@ def fit_offset(film: FilmFeatures, log: ForceLog, stated: float, uncertainty: fl
     rows = clock_evidence.compared_rows(film, log, (low, high))
     if exact:
         scans = [] if rows is None else clock_evidence.feature_scans(film, rows, np.array([stated]), prior)
-        clock, noise = ClockOffset(offset=stated, sd=0.0, stated=stated, found=True), None
-        if rows is not None and scans:
-            noise = scans[0].noise_at_best(clock_evidence.noise_alone(film, log, rows))
-        return ClockFit(clock, noise)
+        clock = ClockOffset(offset=stated, sd=0.0, stated=stated, found=True)
+        return ClockFit(clock, scans[0].noise if scans else None)
     spread = prior_spread(low, high, prior)
     doubt = min(spread, uncertainty) if uncertainty < ROUGHLY else spread if np.isfinite(uncertainty) else np.inf
     unsettled = ClockOffset(offset=stated, sd=doubt, stated=stated, found=False)
     if not 0.0 < film.rate < np.inf or high <= low:
         return ClockFit(unsettled, None, (Remark("note", "Nothing moves in the film: the clocks cannot be matched."),))
-    match = None if rows is None else matched(film, log, rows, (low, high), prior)
+    match = None if rows is None else matched(film, rows, (low, high), prior)
     if match is None:
         return ClockFit(unsettled, None, (Remark("warning", TOO_LITTLE, about="clock"),))
     offset, sd, noise = match
@@ -140,11 +138,7 @@ def fit_offset(film: FilmFeatures, log: ForceLog, stated: float, uncertainty: fl
 
 
 def matched(
-    film: FilmFeatures,
-    log: ForceLog,
-    rows: clock_evidence.BinnedLog,
-    within: tuple[float, float],
-    prior: clock_evidence.Prior,
+    film: FilmFeatures, rows: clock_evidence.BinnedLog, within: tuple[float, float], prior: clock_evidence.Prior
 ) -> tuple[float, float, ForceNoise] | None:
     """Offset [s] between `within`, its sd [s] and the log's noise; None where film and log have too little in common.
 
@@ -153,15 +147,12 @@ def matched(
     scans = clock_evidence.feature_scans(film, rows, offsets, prior)
     if not scans:
         return None
-    alone = clock_evidence.noise_alone(film, log, rows)
     if film.moments is not None:
         few = clock_evidence.thinned(rows, max(4 * film.rate, SHARP_ROWS / (film.moments.track.duration + HOLD)))
         span = clock_evidence.likely_span(scans, offsets, *within)
-        sharp = offset_from_moments(
-            film.moments, few, span, clock_evidence.peaks(scans, offsets), prior, alone.of_means(few.width / rows.width)
-        )
+        sharp = offset_from_moments(film.moments, few, span, clock_evidence.peaks(scans, offsets), prior)
         if sharp is not None:
             return sharp
     return *clock_evidence.averaged_over(
         scans, [clock_evidence.refined(scan, rows, offsets, prior) for scan in scans]
-    ), scans[0].noise_at_best(alone)
+    ), scans[0].noise

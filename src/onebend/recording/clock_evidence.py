@@ -12,15 +12,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpotrf, dtbtrs, dtrtrs
 from scipy.ndimage import uniform_filter1d
 
 from onebend.recording.clock_features import FEWEST, HOLD, FilmFeatures, Track, lagging
-from onebend.recording.force_noise import LEAST, TINY, Misfit, NoisePrior, first_guess, learned, likeliest_noise
-from onebend.recording.signals import even_knots, outliers, spline_weights, step
+from onebend.recording.force_noise import LEAST, TINY, first_guess, likeliest_noise
+from onebend.recording.signals import outliers, step
 from onebend.records import Array, ForceLog, ForceNoise, IntArray
 
 Prior = Callable[[Array], Array]  # log of the prior over offsets, less a constant
@@ -36,13 +36,13 @@ class BinnedLog:
     largest: float  # N, largest deviation from the median
 
     @cached_property
-    def noise(self) -> NoisePrior:
+    def noise(self) -> ForceNoise:
         """A first guess."""
         return first_guess(self.force, self.width)
 
     def walk_variance(self) -> Array:
         """(N,) N^2: the variance so far of a random walk that moves only where the force changes, and by as much."""
-        gaps, noise = np.diff(self.time), self.noise.centre
+        gaps, noise = np.diff(self.time), self.noise
         own = 2 * noise.white**2 + 2 * noise.coloured**2 * (1 - np.exp(-gaps / noise.tau)) + noise.walk**2 * gaps
         power = np.mean(np.diff(self.force, axis=0) ** 2, axis=1)
         size = max(3, round(1.0 / self.width))  # s, window around a row over which the power of its changes is averaged
@@ -81,8 +81,6 @@ def thinned(rows: BinnedLog, rate: float) -> BinnedLog:
 
 
 MOST_ROWS, SLOWEST = 250, 5.0  # of the log, after averaging; and a second, at least
-NOISE_RATE, NOISE_SPAN = 50.0, 6.0  # a second, and s on either side: rows that show the log's noise without the film
-MOST_KNOTS = 100  # of a smooth force there
 
 
 def compared_rows(film: FilmFeatures, log: ForceLog, within: tuple[float, float]) -> BinnedLog | None:
@@ -187,30 +185,13 @@ def log_evidence(factor: NoiseFactor, model: LinearModel) -> float:
     return float(-0.5 * (square - explained @ explained) - spread)
 
 
-def noise_misfit(time: Array, model: LinearModel) -> Misfit:
-    """Of the model's values at `time` (N,), around anything that its columns can follow."""
-    return lambda noise, square: 0.5 * square - log_evidence(noise_factor(noise, time), model)
-
-
-def fit_noise(time: Array, model: LinearModel, before: NoisePrior) -> ForceNoise:
+def fit_noise(time: Array, model: LinearModel, start: ForceNoise) -> ForceNoise:
     """The likeliest noise of the model's values at `time` (N,) around anything that its columns can follow."""
-    return likeliest_noise(before, noise_misfit(time, model), 120)
 
+    def misfit(noise: ForceNoise, square: float) -> float:
+        return 0.5 * square - log_evidence(noise_factor(noise, time), model)
 
-def noise_alone(film: FilmFeatures, log: ForceLog, rows: BinnedLog) -> NoisePrior:
-    """What a log alone says of the noise in `rows`, about a spline that follows any force of twice the bandwidth of the
-    film's motion (see `force.choose_cutoff`); by what is logged around the largest force of the rows.
-
-    The model that compares film and log is rough: it takes its own errors for noise. What is fast shows without it."""
-    peak = float(rows.time[int(np.argmax(np.abs(rows.force - np.median(rows.force, axis=0)).max(axis=1)))])
-    around = max(rows.time[0], peak - NOISE_SPAN), min(rows.time[-1], peak + NOISE_SPAN)
-    fine = binned(log, NOISE_RATE, around, NOISE_RATE)
-    knots = even_knots(*around, 0.25 / film.rate)
-    if not len(knots) < min(MOST_KNOTS, len(fine.time) // 4):
-        return rows.noise
-    splines = 10 * rows.largest * spline_weights(knots, fine.time)
-    misfit = noise_misfit(fine.time, LinearModel(splines, len(knots), fine.force))
-    return learned(fine.noise, misfit).of_means(rows.width / fine.width)
+    return likeliest_noise(start, misfit, 120)
 
 
 FIRST_LOOK, UNLIKELY = 60.0, 30.0  # rows per film in the rough search; log evidence below the best that is dropped
@@ -249,29 +230,28 @@ class OffsetScan:
 
     track: Track
     log_posterior: Array  # over the coarse offsets
-    noise_at_best: Callable[[NoisePrior], ForceNoise]  # is fitted
-    before: NoisePrior
+    noise_at_best: Callable[[], ForceNoise]  # is fitted
 
     @cached_property
     def noise(self) -> ForceNoise:
-        """The likeliest at the best offset, errors of the features included."""
-        return self.noise_at_best(self.before)
+        """The likeliest at the best offset."""
+        return self.noise_at_best()
 
 
 def coarse_search(track: Track, rows: BinnedLog, offset: Array, prior: Prior) -> OffsetScan:
     """The log posterior over all offsets, under the noise that is likeliest at the best one of a first look."""
     laid = laid_over(track, rows, offset)
 
-    def fitted(log_posterior: Array, before: NoisePrior) -> ForceNoise:
+    def fitted(log_posterior: Array, start: ForceNoise) -> ForceNoise:
         best = laid[int(np.argmax(log_posterior))]
-        return before.centre if best is None else fit_noise(rows.time[best.use], best.model, before)
+        return start if best is None else fit_noise(rows.time[best.use], best.model, start)
 
     def searched(noise: ForceNoise) -> Array:
         return evidence_ratios(laid, rows, noise) + prior(offset)
 
-    first = searched(with_slow_noise(rows.noise.centre, NEAR * rows.largest))
-    log_posterior = searched(fitted(first, rows.noise))
-    return OffsetScan(track, log_posterior, partial(fitted, log_posterior), rows.noise)
+    noise = fitted(searched(with_slow_noise(rows.noise, NEAR * rows.largest)), rows.noise)
+    log_posterior = searched(noise)
+    return OffsetScan(track, log_posterior, lambda: fitted(log_posterior, noise))
 
 
 def feature_scans(film: FilmFeatures, rows: BinnedLog, offsets: Array, prior: Prior) -> list[OffsetScan]:
@@ -295,7 +275,7 @@ def evidence_ratios(laid: Sequence[LaidOver | None], rows: BinnedLog, noise: For
         if (key := film.use.tobytes()) not in of_rows:
             time = rows.time[film.use]
             nothing = LinearModel(np.full((len(time), 1), 10 * rows.largest), 1, rows.force[film.use])
-            walks = noise_factor(rows.noise.centre, time, walk_variance[film.use])
+            walks = noise_factor(rows.noise, time, walk_variance[film.use])
             of_rows[key] = noise_factor(noise, time), log_evidence(walks, nothing)
         factor, without = of_rows[key]
         log_ratio[i] = log_evidence(factor, film.model) - without
@@ -316,7 +296,7 @@ def likely_offsets(film: FilmFeatures, rows: BinnedLog, low: float, high: float)
     rough = np.arange(low, high, max(min(0.25, 0.25 / film.rate), 0.05))
     track = film.tracks[0]
     few_rows = thinned(rows, FIRST_LOOK / track.duration)
-    noise = with_slow_noise(few_rows.noise.centre, FAR_OFF * rows.largest)
+    noise = with_slow_noise(few_rows.noise, FAR_OFF * rows.largest)
     log_ratio = evidence_ratios(laid_over(track, few_rows, rough), few_rows, noise)
     best = np.argsort(-log_ratio)[:MOST_LOOKS]
     likely = rough[best[log_ratio[best] >= log_ratio.max() - UNLIKELY]]
@@ -446,7 +426,6 @@ def lag_evidence(track: Track, rows: BinnedLog, offset: float, tau: float, *, wi
     """Log evidence of the log under a lag `tau` [s] over that under a quick sensor, each at its likeliest offset.
 
     The rows are those that every offset covers, up to a lag of `within` [s]; minus infinity where they are too few.
-    Not their ratios to no markers are compared: these depend on the noise that each lag finds.
     Where it is negative over a sensor without a lag, other quick ones are not tried."""
     apart, reach = max(LAGS_APART, OF_LAG * tau), LAG_REACH * max(tau, within)
     offsets = np.arange(offset - reach - MARGIN, offset + MARGIN + 0.5 * apart, apart)
@@ -458,9 +437,7 @@ def lag_evidence(track: Track, rows: BinnedLog, offset: float, tau: float, *, wi
     same = replace(rows, time=rows.time[known], force=rows.force[known])
 
     def at_best(lag: float) -> float:
-        scan = coarse_search(lagging(track, lag), same, offsets, np.zeros_like)
-        best = laid_over(scan.track, same, offsets[[int(np.argmax(scan.log_posterior))]])[0]
-        return -np.inf if best is None else log_evidence(noise_factor(scan.noise, same.time[best.use]), best.model)
+        return float(np.max(coarse_search(lagging(track, lag), same, offsets, np.zeros_like).log_posterior))
 
     quick, slow = at_best(QUICK[0]), at_best(tau)
     if slow > quick:

@@ -17,7 +17,7 @@ from scipy.optimize import nnls
 
 from onebend.recording.clock_evidence import BinnedLog, Prior, mixed, moments_of
 from onebend.recording.clock_features import FEWEST, LOAD_DOUBT, STILL, Moments, unit_forces
-from onebend.recording.force_noise import NoisePrior, TimeSpans, covariance, likeliest_noise
+from onebend.recording.force_noise import TimeSpans, covariance, first_guess, likeliest_noise
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, ForceNoise
 
 FREE_BIAS = 10.0  # of the largest force: prior sd of the log's bias
@@ -259,7 +259,7 @@ def fit_jumps(residual: Array, design: Array, others: Array, jumps: Array, typic
 
 
 def fit_residual_noise(
-    residual: Array, design: Array, rows: TimeSpans, spread: Array, before: NoisePrior, jumps: Array
+    residual: Array, design: Array, rows: TimeSpans, spread: Array, start: ForceNoise, jumps: Array
 ) -> ForceNoise:
     """The likeliest noise of the log's `residual` (2N,) N, of which `design` (2N, p) N is the parameters' part."""
 
@@ -272,7 +272,7 @@ def fit_residual_noise(
         fit = 0.5 * float(square + b @ b - explained @ explained)
         return fit + float(np.sum(np.log(np.diag(root))) + np.sum(np.log(np.diag(inner))))
 
-    return likeliest_noise(before, misfit, 80)
+    return likeliest_noise(start, misfit, 80)
 
 
 @dataclass(frozen=True)
@@ -283,7 +283,6 @@ class CommonRows:
     time: Array  # (N,) s, log's clock
     width: float  # s
     force: Array  # (N, 2) N, with the sign of the force on the beam
-    noise: NoisePrior
     film: MomentsAtRows  # the whole film
     model: ForceLogModel
 
@@ -318,24 +317,16 @@ class _Found:
 
 
 def offset_from_moments(
-    moments: Moments,
-    rows: BinnedLog,
-    span: tuple[float, float],
-    first: Sequence[float],
-    prior: Prior,
-    alone: NoisePrior,
+    moments: Moments, rows: BinnedLog, span: tuple[float, float], first: Sequence[float], prior: Prior
 ) -> tuple[float, float, ForceNoise] | None:
     """Mean [s] and sd [s] of the offset within `span` [s], and the noise; None where film and log share too little.
 
     From each estimate `first` [s] the noise is fitted there, then at the mean, until that settles. An error of the log
-    at one offset is force at another one, so a search stays near where it began. Its evidence weights its end. In the
-    search the model's own errors count as noise; the noise at the end is by what the log `alone` says of it."""
+    at one offset is force at another one, so a search stays near where it began. Its evidence weights its end."""
     wide = span[1] - span[0]
     offsets = np.arange(span[0], span[1] + 1e-9, max(min(STEP, wide / FEWEST), wide / (MOST_OFFSETS - 1)))
     every = np.append(offsets, first)
-    found = [
-        one for begin in first if (one := _found_from(moments, rows, offsets, every, begin, prior, alone)) is not None
-    ]
+    found = [one for begin in first if (one := _found_from(moments, rows, offsets, every, begin, prior)) is not None]
     if not found:
         return None
     evidence = np.array([one.log_evidence for one in found])
@@ -344,7 +335,7 @@ def offset_from_moments(
 
 
 def _found_from(
-    moments: Moments, rows: BinnedLog, offsets: Array, every: Array, first: float, prior: Prior, alone: NoisePrior
+    moments: Moments, rows: BinnedLog, offsets: Array, every: Array, first: float, prior: Prior
 ) -> _Found | None:
     """The search on the grid `offsets`, from one of them all."""
     shared, z = common_rows(moments, rows, every, first)
@@ -359,10 +350,8 @@ def _found_from(
             break
     # A jump at a wrong time shifts the offset, and a larger jump shifts it more.
     size = sum(error.probability * min(error.jump_sd / (LARGE * shared.model.force), 1.0) ** 2 for error in errors)
-    large = LARGE if errors[0].jumps.any() else 0.0
-    noise = fit_log_error(replace(shared, noise=alone), mean, z, large).noise
     # s, least sd that is claimed.
-    return _Found(mean, float(np.hypot(max(sd, 0.001), np.sqrt(size) * LOAD_DOUBT)), log_evidence, noise)
+    return _Found(mean, float(np.hypot(max(sd, 0.001), np.sqrt(size) * LOAD_DOUBT)), log_evidence, errors[0].noise)
 
 
 def scan_closer(
@@ -419,15 +408,15 @@ def common_rows(moments: Moments, rows: BinnedLog, offsets: Array, first: float)
     time_used, force = rows.time[use], rows.force[use]
     compliance, sign, bias = rough_compliance(moments_at(moments, time_used - first, rows.width), force)
     model = ForceLogModel(moments, compliance, rows.largest)
-    shared = CommonRows(moments, time_used, rows.width, sign * force, rows.noise, film.select(film.known), model)
+    shared = CommonRows(moments, time_used, rows.width, sign * force, film.select(film.known), model)
     return shared, model.start(bias)
 
 
 def fit_log_error(shared: CommonRows, offset: float, z: Array, large: float) -> LogError:
     """Parameters, noise and jumps at one offset, each fitted in turn from a guess. `large` = 0: without jumps."""
     moments, model = shared.rows_at(offset), shared.model
-    share, noise = load_change_share(moments), shared.noise.centre
-    jumps, typical = (large * model.force) ** 2 * share, (TYPICAL * model.force) ** 2 * share
+    share, start = load_change_share(moments), first_guess(shared.force, shared.width)
+    noise, jumps, typical = start, (large * model.force) ** 2 * share, (TYPICAL * model.force) ** 2 * share
     for _ in range(TURNS):
         spread = model.force_on_beam(moments, z)[1]
         root = np.linalg.cholesky(log_covariance(noise, shared.rows, spread, jumps))
@@ -437,14 +426,14 @@ def fit_log_error(shared: CommonRows, offset: float, z: Array, large: float) -> 
     spread = model.force_on_beam(moments, z)[1]
     residual, design = residual_and_design(model, moments, shared.film, shared.force, z)
     for _ in range(TURNS if large else 0):
-        noise = fit_residual_noise(residual, design, shared.rows, spread, shared.noise, jumps)
+        noise = fit_residual_noise(residual, design, shared.rows, spread, start, jumps)
         others = log_covariance(noise, shared.rows, spread, np.zeros_like(jumps))
         jumps = fit_jumps(residual, design, others, jumps, typical)
     known = (typical > 0.0) & (jumps > 0.0)
     size = jumps[known] / typical[known]
     log_prior = -0.5 * float(np.sum(np.log(size) + 1.0 / size - 1.0))  # of variances of Cauchy distributed jumps
     jump_sd = float(np.sqrt(np.maximum(jumps - typical, 0.0).sum()))
-    noise = fit_residual_noise(residual, design, shared.rows, spread, shared.noise, jumps)
+    noise = fit_residual_noise(residual, design, shared.rows, spread, start, jumps)
     return LogError(noise, jumps, z, log_prior, jump_sd)
 
 

@@ -200,7 +200,7 @@ def clean_force(
     if len(zero.time) > 1:
         drift = (zero.value[-1] - zero.value[0]) / (zero.time[-1] - zero.time[0])
     if noise is not None:  # the log's own samples show its white part
-        noise = replace(noise, white=force_noise.first_guess(force, spacing).centre.white, spacing=spacing)
+        noise = replace(noise, white=force_noise.first_guess(force, spacing).white, spacing=spacing)
     return CleanForce(
         time=log.time,
         force=clean,

@@ -4,7 +4,6 @@ The clock search, the fit, the live learner and the check of a sensor all use it
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -207,64 +206,31 @@ def _averaging(u: Array) -> tuple[Array, Array]:
     return np.where(u < 1e-4, 1.0, share), np.where(u < 1e-4, 1.0, 2.0 * (1.0 - share) / wide)
 
 
-@dataclass(frozen=True)
-class NoisePrior:
-    """What is expected of the white, coloured and walking parts of a log's noise before the film: log-normal."""
-
-    centre: ForceNoise
-    spread: Array  # (4,) one sd of the logs of white, coloured, tau and walk
-
-    def at(self, z: Array) -> ForceNoise:
-        """The noise z (4,) sd from the centre."""
-        sizes = np.array([self.centre.white, self.centre.coloured, self.centre.tau, self.centre.walk])
-        bounded = np.clip(z, -_FARTHEST, _FARTHEST)
-        white, coloured, tau, walk = (sizes * np.exp(self.spread * bounded)).tolist()
-        return replace(self.centre, white=white, coloured=coloured, tau=tau, walk=walk)
-
-    def of_means(self, count: float) -> NoisePrior:
-        """The same of means of so many samples."""
-        n = self.centre
-        return replace(self, centre=replace(n, white=n.white / math.sqrt(count), spacing=count * n.spacing))
-
-
-Misfit = Callable[[ForceNoise, float], float]  # of a noise and its squared distance in sd: a negative log posterior
-_FARTHEST = 3.0  # sd: a log without noise would lead on until rounding is all that is left
-_APART = 0.5  # sd, of the differences that give a misfit's curvature
-
-
-def first_guess(values: Array, spacing: float) -> NoisePrior:
-    """Noise of plausible size for `values` (N, a) sampled every `spacing` [s], within a factor of five; the correlation
-    time of 2.5."""
+def first_guess(values: Array, spacing: float) -> ForceNoise:
+    """A noise of plausible size for `values` (N, a) sampled every `spacing` [s]."""
     jumps = np.diff(values, n=2, axis=0)
     white = float(np.median(np.abs(jumps))) * MAD_TO_SD / np.sqrt(6) if len(jumps) else 0.0
-    largest = float(np.ptp(values, axis=0).max(initial=0.0)) if len(values) else 0.0
-    size = max(white, 1e-3 * largest, np.finfo(float).tiny ** 0.25)
-    centre = ForceNoise(white=size, coloured=size, tau=max(0.2, spacing), walk=0.5 * size, spacing=spacing)
-    return NoisePrior(centre, np.log(np.array([5.0, 5.0, 2.5, 5.0])))
+    size = max(white, 1e-3 * float(np.ptp(values, axis=0).max(initial=0.0)), np.finfo(float).tiny ** 0.25)
+    return ForceNoise(white=size, coloured=size, tau=max(0.2, spacing), walk=0.5 * size, spacing=spacing)
 
 
-def likeliest_noise(before: NoisePrior, misfit: Misfit, most: int) -> ForceNoise:
-    """The noise of least `misfit`, in at most so many evaluations."""
-    return before.at(_likeliest(before, misfit, most))
+_FARTHEST = 3.0  # sd of the prior: a log without noise would lead on until rounding is all that is left
 
 
-def learned(before: NoisePrior, misfit: Misfit) -> NoisePrior:
-    """The posterior, as a prior of the next: about the likeliest noise, as narrow as the misfit is curved there; what
-    was known before where the likeliest is at the end of what is plausible, as of a log that was smoothed."""
-    middle, step = _likeliest(before, misfit, 120), _APART * np.eye(4)
-    if np.any(np.abs(middle) >= _FARTHEST):
-        return before
-    there, *beside = (
-        misfit(before.at(z), z @ z) for z in np.clip([middle, *middle + step, *middle - step], -_FARTHEST, _FARTHEST)
-    )
-    curvature = np.maximum((np.add(beside[:4], beside[4:]) - 2.0 * there) / _APART**2, 1.0)
-    return NoisePrior(before.at(middle), before.spread / np.sqrt(curvature))
+def likeliest_noise(start: ForceNoise, misfit: Callable[[ForceNoise, float], float], most: int) -> ForceNoise:
+    """The noise of least `misfit`, a negative log posterior, in at most so many evaluations.
 
+    A weak prior bounds the sizes: one sd is a factor of five about `start`, of the correlation time a factor of 2.5.
+    `misfit` takes the noise and the square of its distance from `start` in sd.
+    """
+    spread = np.log(np.array([5.0, 5.0, 2.5, 5.0]))
+    centre = np.log(np.array([start.white, start.coloured, start.tau, start.walk]))
 
-def _likeliest(before: NoisePrior, misfit: Misfit, most: int) -> Array:
-    """(4,) sd from the centre."""
+    def sized(z: Array) -> ForceNoise:
+        white, coloured, tau, walk = np.exp(centre + spread * np.clip(z, -_FARTHEST, _FARTHEST)).tolist()
+        return replace(start, white=white, coloured=coloured, tau=tau, walk=walk)
+
     simplex = np.vstack([np.zeros(4), 0.4 * np.eye(4)])
     options = {"maxfev": most, "xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}
-    return np.asarray(
-        minimize(lambda z: misfit(before.at(z), z @ z), np.zeros(4), method="Nelder-Mead", options=options).x
-    )
+    optimum = minimize(lambda z: misfit(sized(z), z @ z), np.zeros(4), method="Nelder-Mead", options=options)
+    return sized(optimum.x)

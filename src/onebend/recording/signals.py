@@ -215,21 +215,6 @@ def line_at(time: Array, values: Array, at: float) -> tuple[Array, Array]:
     return line[0], line[1]
 
 
-def even_knots(begin: float, end: float, spacing: float) -> Array:
-    """(K,) of a cubic spline from `begin` to `end`, at most `spacing` apart."""
-    count = max(int(np.ceil((end - begin) / spacing)) + 3, 4)
-    return np.asarray(begin + (end - begin) / (count - 3) * (np.arange(count) - 1.0), dtype=float)
-
-
-def spline_weights(knots: Array, time: Array) -> Array:
-    """(T, K) values at `time` of cubic B-splines centred at the evenly spaced `knots` (they sum to 1 inside)."""
-    u = np.abs(time[:, None] - knots) / (knots[1] - knots[0])
-    near = 2.0 / 3.0 - u**2 + 0.5 * u**3
-    far = (2.0 - np.minimum(u, 2.0)) ** 3 / 6.0
-    weights = np.where(u < 1.0, near, far)
-    return np.asarray(weights / np.sum(weights, axis=1, keepdims=True))
-
-
 def low_pass_power(frequency: Array, cutoff: float) -> Array:
     """Share of a signal's power that `low_pass` lets through at `frequency` [Hz]: the filter's gain runs twice."""
     return np.asarray(flattened(1.0 / (1.0 + (frequency / cutoff) ** (2 * FILTER_ORDER))) ** 2)

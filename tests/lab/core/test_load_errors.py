@@ -9,7 +9,6 @@ from benchmarks.mistaken_place import drawn
 from onebend.lab.virtual import virtual_recording
 from onebend.recording.clock import fit_clock
 from onebend.recording.clock_evidence import OffsetScan, averaged_over, peaks
-from onebend.recording.force_noise import NoisePrior
 from onebend.records import ForceNoise
 
 GRID = np.linspace(-1.0, 1.0, 41)
@@ -32,8 +31,7 @@ def scan(*peaked: tuple[float, float]) -> OffsetScan:
     density = np.full(len(GRID), -1e4)
     for offset, height in peaked:
         density = np.maximum(density, height - 1e3 * (GRID - offset) ** 2)
-    before = NoisePrior(ForceNoise(1.0, 1.0, 1.0, 1.0), np.ones(4))
-    return OffsetScan(None, density, lambda prior: prior.centre, before)  # type: ignore[arg-type]
+    return OffsetScan(None, density, lambda: ForceNoise(1.0, 1.0, 1.0, 1.0))  # type: ignore[arg-type]
 
 
 def test_peaks_that_may_be_right_are_looked_at_the_highest_of_each_search_first() -> None:

@@ -23,7 +23,7 @@ from onebend.recording.clock_moments import (
     moments_at,
     with_misfit,
 )
-from onebend.recording.force_noise import TimeSpans, covariance, first_guess
+from onebend.recording.force_noise import TimeSpans, covariance
 from onebend.records import ForceNoise
 
 PUSH_S = 0.98
@@ -88,7 +88,7 @@ def test_turns_that_no_one_force_explains_have_so_much_more_noise(size: float, m
     lasting = np.repeat(np.random.default_rng(0).standard_normal((len(time) // 10 + 1, len(moments.noise))), 10, axis=0)
     turn = np.einsum("cnk,nc->nk", model.turns_per_force(seen, z), force) + size * moments.noise * lasting[: len(time)]
     film = replace(seen, turn=turn)
-    found = with_misfit(CommonRows(moments, time, 0.1, force, first_guess(force, 0.1), film, model), z)
+    found = with_misfit(CommonRows(moments, time, 0.1, force, film, model), z)
     assert found.model.moments is found.moments
     assert np.allclose(found.moments.noise / moments.noise, more, rtol=0.3)
 

@@ -19,7 +19,7 @@ from onebend.recording.clock_evidence import (
     noise_factor,
 )
 from onebend.recording.clock_features import GaplessMarkers, film_features, levers, turning_spans
-from onebend.recording.force_noise import NoisePrior, TimeSpans, covariance
+from onebend.recording.force_noise import TimeSpans, covariance
 from onebend.recording.signals import from_clamp
 from onebend.records import ForceNoise
 from tests.recording.pushed import Pushed, force_at, table
@@ -179,23 +179,10 @@ def test_noise_is_recovered() -> None:
     log = pushed.log()
     values = log.force - pushed.true_force(log.time - pushed.offset)
     model = LinearModel(np.ones((len(log.time), 1)), 1, values)
-    found = fit_noise(log.time, model, NoisePrior(ForceNoise(0.02, 0.01, 0.2, 0.01), np.log([5.0, 5.0, 2.5, 5.0])))
+    found = fit_noise(log.time, model, ForceNoise(0.02, 0.01, 0.2, 0.01))
     assert found.white == pytest.approx(0.01, rel=0.3)
     assert found.coloured == pytest.approx(0.02, rel=0.4)
     assert found.tau == pytest.approx(0.3, rel=0.6)
-
-
-@pytest.mark.parametrize("push_s", [None, pytest.param(1.0, marks=pytest.mark.slow)])
-def test_what_the_model_of_the_force_leaves_is_not_taken_for_noise_of_the_log(push_s: float | None) -> None:
-    sizes, times = [], []
-    for seed in (1, 2, 3):
-        pushed = Pushed(film=12.0, seed=seed, white=0.02, coloured=0.02, tau=0.12, rate=200.0)
-        noise = fit_clock(pushed.markers(), pushed.log(), pushed.offset, 2.0, push_s=push_s).noise
-        assert noise is not None
-        sizes.append(noise.coloured)
-        times.append(noise.tau)
-    assert np.median(sizes) == pytest.approx(0.02, rel=0.1)
-    assert 0.1 < np.median(times) < 0.25
 
 
 def test_two_noises_are_compared_over_the_same_model_without_the_film() -> None:
