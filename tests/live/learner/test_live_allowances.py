@@ -151,11 +151,11 @@ def test_of_an_outline_only_what_is_across_it_counts() -> None:
 
 def test_a_point_that_is_far_across_the_outline_is_left_out() -> None:
     made = traced()
-    learner = replay(at_frames(made, np.arange(len(made.time)) < 20), 0.03, settings=FEW)
-    along = np.stack([np.cos(made.angle[20]), np.sin(made.angle[20])], axis=-1)
+    learner = replay(at_frames(made, np.arange(len(made.time)) < 30), 0.03, settings=FEW)
+    along = np.stack([np.cos(made.angle[30]), np.sin(made.angle[30])], axis=-1)
     across = along[:, ::-1] * np.array([-1.0, 1.0])
-    far = made.xy[20] + 2e-3 * np.where(np.arange(len(along))[:, None] == 9, across, along)
-    frame = replace(live_frames(at_frames(made, np.arange(len(made.time)) == 20))[0], xy=far)
+    far = made.xy[30] + 2e-3 * np.where(np.arange(len(along))[:, None] == 9, across, along)
+    frame = replace(live_frames(at_frames(made, np.arange(len(made.time)) == 30))[0], xy=far)
     assert np.flatnonzero(~learner.update(**vars(frame)).accepted).tolist() == [9]
 
 
