@@ -8,6 +8,7 @@ import runpy
 import subprocess
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
@@ -16,7 +17,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 import onebend
-from onebend import cli, load_model, load_observations, load_uncertain
+from onebend import cli, fit, load_model, load_observations, load_uncertain
 from onebend.cli import learning as learning_commands
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import Posterior
@@ -44,10 +45,12 @@ class Runs(NamedTuple):
     interrupted: Result
     left_behind: list[str]
     finished: Result
-    learned: Run
-    fast: Path
     out: Path
     kept: Path  # what was found in the films
+
+
+def learn_with(quick: FitSettings, *recordings: Path, **options: Any) -> Run:
+    return learn(*recordings, **(options | {"fitting": quick}))
 
 
 def interrupted(*_: object, **__: object) -> NoReturn:
@@ -73,29 +76,20 @@ def changed(folder: Path, name: str, old: str, new: str) -> Path:
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
     """Tags are found once: the second run must take them from what the first one kept."""
     out, kept = tmp_path_factory.mktemp("runs") / "linear", tmp_path_factory.mktemp("kept")
-    bare, fast = (
-        changed(tmp_path_factory.mktemp(name), name, "[force]", "[outline]\nuse = false\n\n[force]")
-        for name in ("train", "fast")
-    )
-    learned: list[Run] = []
-
-    def quickly(*recordings: Path, **options: Any) -> Run:
-        learned.append(learn(*recordings, **(options | {"fitting": QUICK})))
-        return learned[-1]
-
+    bare = changed(tmp_path_factory.mktemp("bare"), "train", "[force]", "[outline]\nuse = false\n\n[force]")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ONEBEND_CACHE", str(kept))
         patch.setattr(learning_commands, "draw_all", interrupted)
-        patch.setattr(learning_commands, "learn_from", quickly)
+        quick = partial(learn_with, QUICK)  # of this run only the files are looked at
+        patch.setattr(learning_commands, "learn_from", quick)
         first = CliRunner().invoke(cli.app, ["learn", str(bare), "-o", str(out)])
         left = sorted(path.name for path in out.parent.rglob("*"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ONEBEND_CACHE", str(kept))
         patch.setattr(detection_cache, "detect_tags", unless_train)
-        patch.setattr(learning_commands, "learn_from", quickly)
-        command = ["learn", str(EXAMPLE / "train"), "-o", str(out), "--validate", str(fast)]
+        command = ["learn", str(EXAMPLE / "train"), "-o", str(out), "--validate", str(EXAMPLE / "fast")]
         second = CliRunner().invoke(cli.app, [*command, "--json", "--force"])
-    return Runs(first, left, second, learned[-1], fast, out, kept)
+    return Runs(first, left, second, out, kept)
 
 
 def test_an_interrupted_run_says_what_it_kept(runs: Runs) -> None:
@@ -141,7 +135,7 @@ def test_the_learned_beam_follows_both_pushes(runs: Runs) -> None:
 
 def test_validate_gives_the_numbers_of_learn_again(runs: Runs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ONEBEND_CACHE", str(runs.kept))
-    result = CliRunner().invoke(cli.app, ["validate", str(runs.out), str(runs.fast), "--json", "--quiet"])
+    result = CliRunner().invoke(cli.app, ["validate", str(runs.out), str(EXAMPLE / "fast"), "--json", "--quiet"])
     assert result.exit_code == 0, result.output
     again, before = json.loads(result.stdout)["validation"], json.loads(runs.finished.stdout)["validation"]
     np.testing.assert_allclose(again[0]["rms_m"], before[0]["rms_m"], rtol=1e-6)
@@ -155,15 +149,20 @@ def test_validating_on_a_beam_of_another_length_is_refused(runs: Runs, tmp_path:
     assert "300 mm long, the learned one 150 mm" in result.stderr.replace("\n", " ")
 
 
+@pytest.fixture(scope="module")
+def fitted(runs: Runs) -> Posterior:
+    """What was observed above, fitted with fewer functions."""
+    return fit([load_observations(runs.out)], settings=QUICK)
+
+
 @pytest.fixture
-def asked(runs: Runs, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+def asked(runs: Runs, fitted: Posterior, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     """What an example observes, and fits: each time what was observed and fitted above."""
     seen, asked = load_observations(runs.out), list[Path]()
 
     def fit_again(given: Sequence[Observations]) -> Posterior:
         assert given[0] is seen
-        assert runs.learned.posterior is not None
-        return runs.learned.posterior
+        return fitted
 
     def observe(folder: Path | str) -> Observations:
         asked.append(ROOT / folder)

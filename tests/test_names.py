@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import ast
 from collections import defaultdict
 from pathlib import Path
 
@@ -13,8 +13,9 @@ def shared_names(folder: Path) -> dict[str, list[str]]:
     """Names of the classes below `folder` that more than one module defines, with those modules."""
     modules = defaultdict(list)
     for path in sorted(folder.rglob("*.py")):
-        for name in re.findall(r"(?m)^ *class (\w+)\b.*:", path.read_text(encoding="utf-8")):
-            modules[name].append(path.relative_to(folder).as_posix())
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                modules[node.name].append(path.relative_to(folder).as_posix())
     return {name: where for name, where in modules.items() if len(where) > 1}
 
 

@@ -164,7 +164,7 @@ def test_recordings_that_are_there_are_kept(tmp_path: Path) -> None:
     jobs[0].observed.parent.mkdir()
     for job in jobs:
         save_observations(job.observed, made_up.observations("kept"))
-    assert {job.name for job in in_processes(make_recording, jobs, 1)} == {job.name for job in jobs}
+    assert {job.name for job in in_processes(make_recording, jobs, 2)} == {job.name for job in jobs}
     assert [load_observations(job.observed).source.name for job in jobs] == ["kept", "kept"]
 
 

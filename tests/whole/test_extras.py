@@ -10,6 +10,8 @@ import pytest
 
 from onebend.errors import MissingPackageError, OnebendError
 from onebend.extras import package, require
+from onebend.results.model import save_model
+from tests import made_up
 
 ROOT = Path(__file__).parents[2]
 OF_EXTRAS = ("cv2", "rosbags", "starlette")
@@ -63,9 +65,16 @@ def test_a_command_names_the_extra_that_it_lacks(extra: str, arguments: tuple[st
 
 
 def test_what_needs_no_extra_works_without_them(tmp_path: Path) -> None:
+    fit = made_up.posterior()
+    model, goals = tmp_path / "model.json", tmp_path / "goals.csv"
+    save_model(model, fit.beam, written_by="a test", uncertain=fit.stiffness)
+    places = [fit.beam.equilibrium((0.0, newtons)).xy(1.0) for newtons in (0.2, 0.3)]
+    goals.write_text("time_s,x_m,y_m\n" + "".join(f"{time},{x},{y}\n" for time, (x, y) in enumerate(places)))
     done = without_extras(
         ["design", "linear"],
         ["tags", str(ROOT / "examples/linear-beam/train"), "-o", str(tmp_path / "tags.svg")],
+        ["path", str(model), "--goals", str(goals), "--rate-Hz", "20", "-o", str(tmp_path / "path")],
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "tags.svg").is_file()
+    assert (tmp_path / "path" / "path.csv").is_file()

@@ -60,11 +60,10 @@ def test_every_module_of_the_core_loads(core: Path) -> None:
     code = (
         "import pkgutil, importlib, onebend\n"
         "names = [found.name for found in pkgutil.walk_packages(onebend.__path__, 'onebend.')]\n"
-        "left = '.__main__', '_rod'  # these load simulators\n"
-        "[importlib.import_module(name) for name in names if not name.endswith(left)]\n"
+        "[importlib.import_module(name) for name in names if name != 'onebend.__main__']\n"
         "print(len(names))"
     )
-    assert int(run(core, "-c", code)) > 80
+    assert int(run(core, "-c", code).split()[-1]) > 80  # Warp, for Newton, says itself on its first import
 
 
 @pytest.mark.slow

@@ -63,7 +63,7 @@ def test_error_over_band_is_chi_square_over_seeds() -> None:
 
 @pytest.mark.slow
 def test_so_it_is_where_all_sizes_are_drawn_and_learned() -> None:
-    settings, total, seeds = replace(IDEAL_LIVE, functions=8, marker_noise=1.0), 0.0, 4
+    settings, total, seeds = replace(IDEAL_LIVE, functions=8, marker_noise=1.0), 0.0, 6
     settings = replace(settings, force=SIZES)
     for seed in range(seeds):
         rng = np.random.default_rng(seed)

@@ -51,12 +51,12 @@ def test_found_within_its_sd(pushed: Pushed, said: float, push_s: float | None) 
 
 def test_claimed_sd_covers() -> None:
     misses = []
-    for seed in range(5):
+    for seed in range(8):
         pushed = Pushed(seed=10 + seed)
         found = fit_clock(pushed.markers(), pushed.log(), 250.0, 2.0).clock
         misses.append((found.offset - pushed.offset) / found.sd)
-    # chi-square of 5: between 0.6 and 15 in 98 of 100 sets; the noise's sizes are estimated too, hence a little more.
-    assert 0.4 < np.sum(np.square(misses)) < 21.0
+    # chi-square of 8: between 2.0 and 20 in 98 of 100 sets; the noise's sizes are estimated too, hence a little more.
+    assert 1.0 < np.sum(np.square(misses)) < 28.0
 
 
 @pytest.mark.parametrize("turn", [np.pi, *(pytest.param(one, marks=pytest.mark.slow) for one in (0.5, -2.0))])
@@ -71,8 +71,9 @@ def test_sign_and_axes_of_the_log_do_not_matter_to_polynomials(turn: float) -> N
 def test_sign_does_not_matter_to_levers() -> None:
     pushed = Pushed(seed=20)
     log = pushed.log()
+    plain = fit_clock(pushed.markers(), log, 250.0, 2.0, push_s=1.0).clock
     other = fit_clock(pushed.markers(), replace(log, force=-log.force), 250.0, 2.0, push_s=1.0).clock
-    assert abs(other.offset - pushed.offset) < 3.5 * other.sd < 0.1
+    assert abs(other.offset - plain.offset) < 0.5 * plain.sd
 
 
 def test_dropouts_and_hidden_tags_are_survived() -> None:
