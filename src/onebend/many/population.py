@@ -304,8 +304,8 @@ def read_batch(folder: Path, by: str, same: str | None = None) -> Named:
     objects, groups = tuple(groups_of), tuple(sorted(set(groups_of.values())))
     if len(objects) < len(groups) + FEWEST - 1:
         raise ResultsError(
-            f"{folder}: {len(objects)} objects in {len(groups)} groups tell nothing of the spread within groups. "
-            "Give some group two objects or more, or choose another --by"
+            f"{folder}: no group has two objects, so nothing tells the spread within groups. Give some group two "
+            "objects or more, or choose another --by"
         )
     learned = [row["name"] for row in rows if not row["reason"]]
     kept = np.isin(learned, [row["name"] for row in used])
@@ -330,10 +330,11 @@ def _not_negative(matrices: Array) -> Array:
 def _check_unchanged(folder: Path) -> None:
     """Raises `ResultsError` where a table is not the one that the folder's summary lists."""
     summary, tables = read_summary(folder), [f"{name}.parquet" for name in TABLES]
+    if not any((folder / table).exists() for table in tables):
+        raise ResultsError(f"{folder} holds no tables of a batch. Name the folder that `onebend batch` wrote")
     if summary is None or not set(tables) <= set(summary["files"]):
         raise ResultsError(
-            f"{folder}: there is no {SUMMARY} that lists the tables of a batch, or it was changed since. Name what "
-            f"`onebend batch` wrote. {ADVICE}"
+            f"{folder}: there is no {SUMMARY} that lists the tables of the batch, or it was changed since. {ADVICE}"
         )
     if changed := sorted(set(tables) & set(changed_files(folder))):
         raise ResultsError(f"{folder}: {', '.join(changed)} there is not as `onebend batch` wrote it. {ADVICE}")

@@ -22,7 +22,7 @@ from onebend.progress import Progress, Silent
 from onebend.records import Array, BoolArray
 from onebend.report.page import render
 from onebend.report.pictures import Draw, Pictures, draw
-from onebend.report.sentences import UNKNOWN, significant
+from onebend.report.sentences import UNKNOWN, counted, significant
 from onebend.report.style import INK, MUTED, ORANGE, blank, hue_of, styled
 from onebend.text_files import figure_text, one_line
 
@@ -279,7 +279,7 @@ def _cards(outcome: PopulationOutcome) -> list[tuple[str, str, str]]:
     far = sum(bool(why) for why in outcome.outliers)
     spread = percent(float(np.expm1(outcome.shares.level_sd.value)))
     return [
-        ("objects", str(trial.objects), f"in {trial.groups} groups"),
+        ("objects", str(trial.objects), f"in {counted(trial.groups, 'group')}"),
         ("recordings", str(len(trial.log_k)), f"{len(outcome.named.left_out)} left out"),
         ("spread of k within groups", spread, "sd of the level"),
         ("unlike the others", str(far), "objects"),
