@@ -190,10 +190,8 @@ def main() -> None:
             print(f"| {where}.{one.name} | {one.value} | {shift:.2f} | {100.0 * width:.0f} | {failed} |")
     small = sum(not failed and max(shift, width) < LEAST for _, (shift, width, failed) in shown)
     none = [one for one, (shift, width, failed) in shown if not failed and shift == 0.0 and width == 0.0]
-    print(
-        f"\n{small} others shift k by less than {LEAST:g} sd and its width by less than {100 * LEAST:.0f} %. {len(none)}"
-    )
-    print(f"of these change nothing at all: {', '.join(one.name for one in none)}.")
+    print(f"\n{small} others shift k by less than {LEAST:g} sd and its width by less than {100 * LEAST:.0f} %.")
+    print(f"{len(none)} of these change nothing at all: {', '.join(one.name for one in none)}.")
 
 
 if __name__ == "__main__":
