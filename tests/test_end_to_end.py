@@ -133,6 +133,7 @@ def test_the_learned_beam_follows_both_pushes(runs: Runs) -> None:
     assert max(summary["fit"]["fitted_rms_m"][0]) < 1.2e-4  # the fit itself, without the log's slow error
 
 
+@pytest.mark.slow
 def test_validate_gives_the_numbers_of_learn_again(runs: Runs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ONEBEND_CACHE", str(runs.kept))
     result = CliRunner().invoke(cli.app, ["validate", str(runs.out), str(EXAMPLE / "fast"), "--json", "--quiet"])

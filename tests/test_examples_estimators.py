@@ -53,6 +53,7 @@ def pushes() -> list[Observations]:
     return [observed(SOFT, forces(25), at_s=at, noise=NOISE, seed=i) for i, at in enumerate((1.0, 0.8, 0.9))]
 
 
+@pytest.mark.slow
 def test_k_of_s_comes_with_its_sd(pushes: list[Observations]) -> None:
     estimator = StiffnessDistribution(functions=12)
     with pytest.raises(NotFittedError):
@@ -71,6 +72,7 @@ def test_k_of_s_comes_with_its_sd(pushes: list[Observations]) -> None:
     assert not hasattr(copy, "posterior_")
 
 
+@pytest.mark.slow
 def test_the_modulus_of_a_beam_that_goes_with_its_section() -> None:
     k, size = 0.02, np.full(2, 0.005)
     section = StatedSection("circle", np.array([0.0, 1.0]), size, size)

@@ -26,6 +26,7 @@ def test_snippets_print_what_the_page_shows() -> None:
     assert runner.failures == 0, "".join(said)
 
 
+@pytest.mark.slow
 def test_every_figure_is_drawn_and_shown(tmp_path: Path) -> None:
     written = mechanics.main(tmp_path)
     assert set(re.findall(r"images/(mechanics-[a-z-]+\.png)", PAGE)) == {path.name for path in written}

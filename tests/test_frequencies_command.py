@@ -50,6 +50,7 @@ def test_tables_of_points_and_of_any_signal_are_read(tmp_path: Path) -> None:
     assert "Add a column for each signal" in " ".join(said.stderr.split())
 
 
+@pytest.mark.slow
 def test_the_example_gives_youngs_modulus(tmp_path: Path) -> None:
     """205 GPa, by which the measurements were made; the band holds the errors of mass and section."""
     out = tmp_path / "out"

@@ -82,6 +82,7 @@ def test_no_picture_of_a_report_fails_by_a_name(name: str) -> None:
     assert {"fit", "shapes", "residuals", "validation"} & set(pictures.drawn)
 
 
+@pytest.mark.slow
 def test_a_name_does_not_cost_the_run(tmp_path: Path, learned_from: Callable[[str], None]) -> None:
     learned_from("$\\frac\x1b[31m=1")
     result = CliRunner().invoke(cli.app, ["learn", "REC", "-o", str(tmp_path / "out")])

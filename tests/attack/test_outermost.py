@@ -122,6 +122,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 SLOW = pytest.mark.slow
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "encoding", ["cp1252", *(pytest.param(name, marks=SLOW) for name in ("ascii", "utf-16", "latin-1"))]
 )

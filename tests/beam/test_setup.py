@@ -113,6 +113,7 @@ def test_draws_follow_log_k() -> None:
     np.testing.assert_allclose(np.std(coefficients, axis=0), 0.05, rtol=0.06)
 
 
+@pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @given(st.floats(-0.003, 0.003), st.floats(0.0, 0.01), st.floats(-0.02, 0.02), st.floats(-0.004, 0.004))
 def test_the_ideal_beam_goes_where_the_set_up_goes(place: float, gives: float, clamp: float, length: float) -> None:
@@ -122,6 +123,7 @@ def test_the_ideal_beam_goes_where_the_set_up_goes(place: float, gives: float, c
     assert np.max(np.linalg.norm(there - tips(one), axis=1)) < 2e-4
 
 
+@pytest.mark.slow
 def test_the_band_of_the_ideal_beam_is_as_wide_as_places_spread_in_the_set_up() -> None:
     sure, wide = setup(), setup()
     column = wide.columns["place"].start
@@ -234,6 +236,7 @@ def tagged(**values: float | list[float]) -> SetUp:
     return replace(setup(**{**TAGGED, **faults, **values}), tag_ids=(4, 7))
 
 
+@pytest.mark.slow
 def test_the_centre_of_a_tag_is_put_on_a_goal_and_its_error_is_said() -> None:
     one, force = tagged(), np.array([[0.05, 0.4]])
     there = one.bent(BEAM, KNOWN, force)

@@ -290,6 +290,7 @@ def test_a_rest_without_tags_moves_nothing(tmp_path: Path) -> None:
     assert not robot.told
 
 
+@pytest.mark.slow
 def test_a_camera_that_ends_before_anything_moved(tmp_path: Path) -> None:
     rec = read_recording(described(tmp_path, width=640), filmed=False)
     cell = VirtualCell(setup_for(rec, holds=False, sees=math.radians(60.0)))

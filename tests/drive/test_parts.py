@@ -241,6 +241,7 @@ def test_the_virtual_hand_finds_the_force_of_the_beam(at_s: float, tmp_path: Pat
     assert cell.poses[cell._node, :2] == pytest.approx(goal_of((-0.03, 0.2), at_s), abs=2e-4)
 
 
+@pytest.mark.slow
 def test_the_follower_keeps_its_bounds() -> None:
     follower = SmoothFollower(pose_of([0.0] * 6))
     wanted = pose_of([0.1, 0.0, 0.0, 0.0, 0.0, 0.5])

@@ -191,6 +191,7 @@ def _installed(name: str) -> bool:
 # draws
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("shape", "stepped"), [(False, False), (True, True)])
 def test_the_quantiles_of_many_draws_are_the_band(shape: bool, stepped: bool) -> None:
     uncertain = banded(shape=shape, stepped=stepped)
@@ -316,6 +317,7 @@ def test_stretch_shear_and_relaxation_are_those_of_the_setup() -> None:
     np.testing.assert_allclose(sectioned.axial(s)[0], plain.axial(s)[0] / 1.44)
 
 
+@pytest.mark.slow
 def test_draws_of_a_setup_are_joint_and_their_quantiles_are_the_bands() -> None:
     stored = in_a_setup(banded())
     assert stored.uncertain is not None

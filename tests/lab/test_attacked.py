@@ -87,6 +87,7 @@ def long_log(log: ForceLog, before: float, after: float) -> ForceLog:
     return ForceLog(time, force + 0.01 * np.abs(force).max() * np.random.default_rng(0).standard_normal(force.shape))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("before", [pytest.param(10.0, marks=pytest.mark.slow), 100.0])
 def test_a_film_is_found_in_a_log_much_longer_than_it(pushed: VirtualRecording, before: float) -> None:
     clock = fit_clock(pushed.markers, long_log(pushed.log, before, 20.0), nan, inf, push_s=1.0).clock
@@ -94,6 +95,7 @@ def test_a_film_is_found_in_a_log_much_longer_than_it(pushed: VirtualRecording, 
     assert abs(clock.offset - pushed.bench.clock.offset) < 0.05
 
 
+@pytest.mark.slow
 def test_a_short_film_from_the_middle_of_the_push_is_not_drawn_to_the_quiet(pushed: VirtualRecording) -> None:
     m = pushed.markers
     cut = m.time >= 2.2

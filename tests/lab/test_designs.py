@@ -203,6 +203,7 @@ def test_mistakes_in_a_design_are_said_with_their_place(tmp_path: Path, old: str
         read_design(path)
 
 
+@pytest.mark.slow
 def test_the_command_says_what_the_functions_find(tmp_path: Path) -> None:
     model = tmp_path / "model.json"
     done = CliRunner().invoke(app, ["design", "quadratic", "--model", str(model), "--json"])

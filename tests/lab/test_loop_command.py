@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 from typer.testing import CliRunner
 
 from onebend.beam.model import Beam
@@ -20,6 +21,7 @@ BEAM = Beam(0.12, Powers((0.03, -0.015)), mass_per_length=Uniform(0.05))
 GOAL = BEAM.equilibrium((-0.05, 0.3)).xy(1.0)
 
 
+@pytest.mark.slow
 def test_command_says_margins_and_writes_the_simulations(tmp_path: Path) -> None:
     save_model(tmp_path / "model.json", BEAM, written_by="a test")
     goal = [f"{value:.6g}" for value in GOAL]

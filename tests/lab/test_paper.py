@@ -159,6 +159,7 @@ def test_a_known_beam_is_put_on_its_goals_and_the_scale_of_the_force_does_not_mo
         np.testing.assert_allclose(task.goal(scaled), task.goal(true), atol=1.01e-5)
 
 
+@pytest.mark.slow
 def test_recordings_that_are_there_are_kept(tmp_path: Path) -> None:
     jobs = film_jobs(tmp_path, TINY, "a test")[:2]
     jobs[0].observed.parent.mkdir()
@@ -209,6 +210,7 @@ def test_tables_hold_what_was_printed_and_what_was_found(found: StudyOutcome) ->
     assert (below, known) == (sum(float(a) < float(b) for a, b in ours), 3)
 
 
+@pytest.mark.slow
 def test_figures_are_pictures_and_the_worst_is_the_worst(found: StudyOutcome) -> None:
     figures = draw_figures(found).drawn
     assert set(figures) == {"summary", "figure-3", "training", "figure-6", "figure-7", "figure-8"}

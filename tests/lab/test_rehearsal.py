@@ -58,6 +58,7 @@ def test_scatter_is_that_of_the_linear_estimate_under_the_equivalent_prior() -> 
     assert np.std(drawn, axis=0) == pytest.approx(found.scatter, rel=0.06)
 
 
+@pytest.mark.slow
 def test_band_and_bias_are_those_of_the_fits_own_posterior() -> None:
     """One prior: what the fit's sampler makes of the same information, with other draws."""
     setup = replace(CUBIC, sensor=replace(CUBIC.sensor, gain_sd=0.0))
@@ -71,6 +72,7 @@ def test_band_and_bias_are_those_of_the_fits_own_posterior() -> None:
     assert np.max(np.abs(found.bias - BASIS @ (posterior.mean - truth)) / sd) < 0.15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "setup", [pytest.param(CUBIC, marks=pytest.mark.slow, id="cubic"), pytest.param(UNIFORM, id="uniform")]
 )
@@ -148,6 +150,7 @@ def test_an_unknown_gain_costs_most_and_its_calibration_is_advised() -> None:
     assert again == pytest.approx(changes[0].quality.mean_width, rel=0.15)
 
 
+@pytest.mark.slow
 def test_runs_are_repeatable_and_their_bands_are_those_predicted() -> None:
     first = simulate(WRIST, [3])
     assert not first[0].failure

@@ -69,6 +69,7 @@ def test_without_noise_the_whole_way_gives_force_clock_and_stiffness_back(plain:
     np.testing.assert_allclose(found.band(S).k, BEAM.stiffness(S), rtol=0.03)
 
 
+@pytest.mark.slow
 def test_the_shortcut_agrees_with_the_whole_way() -> None:
     one = made(sensor=ForceSensor(white_sd=0.01 * PUSH.peak))
     quick, whole = observe_from_truth(one), observe_virtual(one)

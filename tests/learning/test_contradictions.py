@@ -64,6 +64,7 @@ def test_a_sound_recording_contradicts_nothing() -> None:
     assert max(sizes(posterior).values(), default=0.0) < 1.0
 
 
+@pytest.mark.slow
 def test_a_turned_log_stays_usable_because_k_is_right() -> None:
     posterior = fitted("turned")
     band = posterior.band(S)
@@ -93,6 +94,7 @@ def test_the_size_of_lengths_is_their_relative_error() -> None:
     assert found.shift == pytest.approx(0.12, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_log_that_does_not_follow_the_bending_is_as_large_as_its_misses() -> None:
     """Without the slow error that the fit takes off it, a log that is late predicts other shapes."""
     late = replace(recorded(), force=np.roll(forces(), 4, axis=0))

@@ -110,6 +110,7 @@ def test_a_clamp_left_free_is_warned_of() -> None:
     assert [remark.level for remark in worded(fit_notices(free)) if "clamp" in remark.text] == ["warning"]
 
 
+@pytest.mark.slow
 def test_a_search_that_did_not_end_and_a_tag_that_is_elsewhere_are_warned_of() -> None:
     one = fitted()
     unfinished = replace(one, optimum=replace(one.optimum, converged=False))
@@ -218,6 +219,7 @@ def test_a_regression_that_finds_no_beam_does_not_stop_the_fit(monkeypatch: pyte
         pipeline.learn(EXAMPLE / "train", fitting=None)
 
 
+@pytest.mark.slow
 def test_one_gain_is_common_to_all_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = iter([with_stated(made(), gain_sd=0.02), with_stated(with_source(made(1), name="again"), gain_sd=0.05)])
     monkeypatch.setattr(pipeline, "observe", lambda *_, **__: next(seen))

@@ -87,6 +87,7 @@ def test_a_wrong_section_is_criticised_where_it_counts_as_exact(tmp_path: Path) 
     assert "section_sd_m" in warning.text
 
 
+@pytest.mark.slow
 def test_a_wrong_section_is_covered_where_its_error_is_stated(tmp_path: Path) -> None:
     inside, criticised, wide = held(tmp_path, f"{SECTION}section_sd_m = 2e-4\n", range(3), off=2e-4)
     assert inside == 3
@@ -106,6 +107,7 @@ def slow_rod(folder: Path, entries: str) -> Posterior:
     return learned(read(folder, rod(varies=slowly), entries))
 
 
+@pytest.mark.slow
 def test_a_modulus_that_varies_slowly_is_found_where_that_is_stated(tmp_path: Path) -> None:
     found = slow_rod(tmp_path / "slow", f"{SECTION}modulus_varies = 0.1\n")
     section = found.recordings[0].observations.stated.section
@@ -119,6 +121,7 @@ def test_a_modulus_that_varies_slowly_is_found_where_that_is_stated(tmp_path: Pa
     assert alone.criticism.causes[0].score.suspect.name == "stiffness along"
 
 
+@pytest.mark.slow
 def test_a_constant_section_is_an_even_beam(tmp_path: Path) -> None:
     even = np.full(len(S), 0.005)
     found = [
@@ -179,6 +182,7 @@ def test_a_mass_that_follows_k_follows_the_section(tmp_path: Path) -> None:
     assert mass_per_length(found.recordings, found.layout, found.mean, found.stiffness)(AT).shape == AT.shape
 
 
+@pytest.mark.slow
 def test_a_mass_by_the_sections_area_is_that_by_the_root_of_k_of_a_round_rod(tmp_path: Path) -> None:
     found = [
         learned(read(tmp_path / along, rod(), f'{SECTION}mass_kg = 0.01\nmass_along = "{along}"\n'))
@@ -207,6 +211,7 @@ def test_one_recording_speaks_for_all_and_two_must_not_contradict() -> None:
         known_shape([stating(stiffness_along="section")])
 
 
+@pytest.mark.slow
 def test_what_one_of_several_benches_states_counts_though_the_fit_begins_with_others(tmp_path: Path) -> None:
     entries = ("", SECTION, "")
     benches = [read(tmp_path / str(i), rod(), each, seed=i) for i, each in enumerate(entries)]

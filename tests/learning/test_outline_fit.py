@@ -147,6 +147,7 @@ def test_without_tags_few_points_stand_for_the_outline() -> None:
     assert read_before_fit(few).tolist() == list(range(6))
 
 
+@pytest.mark.slow
 def test_the_end_of_the_body_counts_along_it_and_tells_its_length() -> None:
     """One millimetre beyond the tip is a longer beam; one beside it is nothing."""
     longer, beside = with_end(1e-3), with_end()
@@ -158,6 +159,7 @@ def test_the_end_of_the_body_counts_along_it_and_tells_its_length() -> None:
     assert abs(SOFT.length * not_by.value) < 0.1e-3
 
 
+@pytest.mark.slow
 def test_only_the_fit_reads_the_end_of_the_body() -> None:
     one = with_end()
     assert END_ID not in read_alone(one).tag_id
@@ -165,6 +167,7 @@ def test_only_the_fit_reads_the_end_of_the_body() -> None:
     np.testing.assert_array_equal(live[0].log_at(S)[0], live[1].log_at(S)[0])
 
 
+@pytest.mark.slow
 def test_beside_tags_the_set_up_and_the_planner_speak_of_the_tags() -> None:
     both = beside_tags()
     found = fit([both], settings=IDEAL)

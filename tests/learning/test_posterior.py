@@ -117,6 +117,7 @@ def test_nuisances_are_reported_with_their_sd_before_and_after(fits: list[Poster
     assert all(0.0 < n.sd <= 1.001 * n.prior_sd for n in found.values())
 
 
+@pytest.mark.slow
 def test_poor_starts_lead_to_the_same_optimum() -> None:
     made = observed(SOFT, forces(40), noise=NOISE, seed=3)
     ends = [fit([made], start, settings=replace(IDEAL, functions=10)).band(S).k for start in (0.01, 0.3)]
@@ -131,6 +132,7 @@ def test_the_band_opens_where_a_push_at_mid_span_says_nothing() -> None:
     assert ratio[1] > 3.0 * ratio[0]
 
 
+@pytest.mark.slow
 def test_declared_gain_widens_the_whole_band_alike() -> None:
     made = observed(SOFT, forces(30), noise=NOISE)
     plain, wide = (fit([made], 0.02, gain_sd=g, settings=replace(IDEAL, functions=8)).band(S) for g in (0.0, 0.1))
@@ -139,6 +141,7 @@ def test_declared_gain_widens_the_whole_band_alike() -> None:
     np.testing.assert_allclose(half**2 - (np.log(plain.high / plain.k) / 1.959964) ** 2, 0.01, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_several_recordings_in_one_fit_tell_more_than_one() -> None:
     tip = wrong_force(observed(SOFT, forces(40), noise=NOISE, seed=1), 1, 0.005)
     side = with_source(wrong_force(observed(SOFT, forces(40), at_s=0.7, noise=NOISE, seed=2), 2, 0.005), name="side")
@@ -167,6 +170,7 @@ def test_what_cannot_be_fitted_is_refused(recordings: list[Observations], start:
         fit(recordings, start)
 
 
+@pytest.mark.slow
 def test_an_uneven_mass_is_not_taken_for_stiffness() -> None:
     """Hung and turned under its weight, pushed besides: k is right although the mass per metre is not even."""
     mass, length = 0.08, 0.15

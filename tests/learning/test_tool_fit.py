@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import Posterior, fit
@@ -32,6 +33,7 @@ def place(found: Posterior) -> tuple[float, float]:
     return float(found.mean[block.where][0]), float(np.sqrt(found.covariance.diagonal[block.where.start]))
 
 
+@pytest.mark.slow
 def test_the_tool_tells_the_place_and_narrows_the_band() -> None:
     quick = FitSettings(functions=16, most_frames=60, first_frames=30)
     alone, seen = (fit([pushed(sd=sd)], settings=quick) for sd in (None, 2e-4))

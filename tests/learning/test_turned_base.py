@@ -94,6 +94,7 @@ def test_only_few_poses_can_be_the_odd_ones() -> None:
     assert not unexplained(np.array([1.0, 1.0, 10.0, 2.0]), 500.0).any()
 
 
+@pytest.mark.slow
 def test_k_is_learned_from_poses_in_any_order(tmp_path: Path) -> None:
     run = learn(folder(tmp_path / "cable"), fitting=FEW)
     assert run.posterior is not None

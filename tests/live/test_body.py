@@ -110,6 +110,7 @@ def test_beside_tags_both_are_learned_from() -> None:
     assert np.isnan(frame.xy[m]).all()
 
 
+@pytest.mark.slow
 def test_what_is_reviewed_is_what_a_film_of_it_shows() -> None:
     """Points of the outline at the true places, to parts of a pixel of 0.4 mm."""
     seen = observed_in(followed()._seen())
@@ -123,6 +124,7 @@ def test_what_is_reviewed_is_what_a_film_of_it_shows() -> None:
     assert np.nanmedian(np.abs(moved)) < 0.1e-3
 
 
+@pytest.mark.slow
 def test_the_followed_outline_is_drawn_along_the_middle_of_the_body() -> None:
     tracker = BodyTracker(bare())
     assert len(curve_in(tracker.step(painted(None, 1), 0.0))) == 0
@@ -135,6 +137,7 @@ def test_the_followed_outline_is_drawn_along_the_middle_of_the_body() -> None:
     assert np.max(cKDTree(project(view(), line)).query(drawn[seen])[0]) < 1.0  # px
 
 
+@pytest.mark.slow
 def test_places_tell_how_far_the_body_moved() -> None:
     tracker, stages = BodyTracker(bare()), Stages(bare(), CaptureSettings(rest=0.5, tare=0.3), forced=False)
     for one in frames():

@@ -71,6 +71,7 @@ def _broken(arrivals: Iterable[Arrival]) -> Iterator[Arrival]:
             yield replace(arrival, stamp=np.full(len(arrival.stamp), np.nan))
 
 
+@pytest.mark.slow
 def test_nothing_that_is_lost_late_or_doubled_stops_it() -> None:
     _, followed, state = disturbed()
     counts = state.counts
@@ -129,6 +130,7 @@ def test_no_state_depends_on_what_comes_later() -> None:
     assert one.counts == other.counts
 
 
+@pytest.mark.slow
 def test_what_is_kept_is_bounded_however_long_it_runs() -> None:
     settings = replace(NEVER, most_frames=40, most_rows=200)
     live, film, force = Live(described(), settings=settings, beside=False), frames(), log()

@@ -44,6 +44,7 @@ def run(*words: str | Path) -> Result:
     return CliRunner().invoke(app, ["record", *map(str, words)])
 
 
+@pytest.mark.slow
 def test_a_played_recording_becomes_one(original: Path, tmp_path: Path) -> None:
     done = run(tmp_path / "new", "--play", original, "--fast", "--no-learning")
     assert done.exit_code == 0, done.output

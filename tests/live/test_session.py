@@ -66,6 +66,7 @@ def test_a_push_is_recorded_from_rest_to_rest(clean: Clean) -> None:
     assert 0.0 < outcome.state.largest < 1.0
 
 
+@pytest.mark.slow
 def test_check_accepts_what_was_recorded(clean: Clean) -> None:
     found = overview(clean[0].folder)
     assert found.faults == ()
@@ -111,6 +112,7 @@ def test_the_band_learned_is_like_that_of_the_original(tmp_path: Path) -> None:
     assert again.whole
 
 
+@pytest.mark.slow
 def test_a_wanted_band_that_is_not_reached_asks_for_another_push(tmp_path: Path) -> None:
     outcome, states = recorded(tmp_path / "push", replace(SETTINGS, until=0.05))
     assert not outcome.whole
@@ -170,6 +172,7 @@ def test_a_film_with_a_log_that_tells_nothing_is_a_fault(tmp_path: Path) -> None
     assert outcome.state.frames > 80
 
 
+@pytest.mark.slow
 def test_numbers_beyond_all_measures_are_left_out_and_counted(tmp_path: Path) -> None:
     sent = log()
     strong, odd = sent.force.copy(), np.arange(5, len(sent.time), 40)

@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pytest
 
 from onebend.live.live import Live, LiveSettings
 from onebend.live.review import Seen, observed_in
@@ -51,6 +52,7 @@ def streamed() -> Seen:
     return live._seen()
 
 
+@pytest.mark.slow
 def test_the_place_of_the_push_is_seen_as_in_a_film() -> None:
     assert observed_in(streamed()).source.place_seen
     assert not observed_in(replace(streamed(), pictures={})).source.place_seen

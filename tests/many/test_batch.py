@@ -63,6 +63,7 @@ def done(stems: Path, tmp_path_factory: pytest.TempPathFactory) -> BatchOutcome:
     return outcome
 
 
+@pytest.mark.slow
 def test_every_recording_is_a_row_as_learn_finds_it(stems: Path, done: BatchOutcome) -> None:
     table = {row["name"]: row for row in pq.read_table(done.out / "recordings.parquet").to_pylist()}
     assert set(table) == {"dry/one", "wet/two", f"wet/{NASTY}"}
@@ -105,6 +106,7 @@ def test_the_tables_are_listed_by_their_checksums(done: BatchOutcome) -> None:
     assert changed_files(done.out) == []
 
 
+@pytest.mark.slow
 def test_in_doubt_is_what_learn_doubts(tmp_path: Path) -> None:
     """A push that is written far from its place, and one that tells nothing, though nothing contradicts it."""
     toml = stem(tmp_path / "stems" / "elsewhere", seed=4) / "recording.toml"
@@ -143,6 +145,7 @@ def test_names_on_the_page_are_text(done: BatchOutcome) -> None:
     assert "http" not in text.replace("http-equiv", "")
 
 
+@pytest.mark.slow
 def test_nothing_is_done_twice_but_what_changed(stems: Path, done: BatchOutcome) -> None:
     before = {path: path.stat().st_mtime_ns for path in (done.out / RECORDS).iterdir()}
     again = run_batch(stems, done.out)
@@ -152,6 +155,7 @@ def test_nothing_is_done_twice_but_what_changed(stems: Path, done: BatchOutcome)
     assert run_batch(stems, done.out).learned_now == 1
 
 
+@pytest.mark.slow
 def test_a_changed_file_is_learned_anew(stems: Path, done: BatchOutcome, tmp_path: Path) -> None:
     copy = tmp_path / "copy"
     shutil.copytree(stems / "dry", copy)
@@ -181,6 +185,7 @@ def test_a_row_states_what_recording_toml_does_not(stems: Path, done: BatchOutco
     assert run_batch(tmp_path / "list.csv", tmp_path / "out", folders=True).learned_now == 1
 
 
+@pytest.mark.slow
 def test_a_record_that_was_edited_is_made_anew(stems: Path, done: BatchOutcome) -> None:
     path = record_path(done.out, done.records[0].hash)
     assert read_record(done.out, done.records[0].hash) is not None
@@ -240,6 +245,7 @@ class Interrupted(Silent):
         raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 def test_stopped_it_keeps_what_is_done(stems: Path, tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt) as stopped:
         run_batch(stems / "wet", tmp_path / "out", progress=Interrupted())

@@ -32,6 +32,7 @@ def run(*arguments: object) -> Result:
     return CliRunner().invoke(cli.app, ["batch", *(str(one) for one in arguments)])
 
 
+@pytest.mark.slow
 def test_what_is_shown_and_written(tmp_path: Path) -> None:
     stems, out = tmp_path / "stems", tmp_path / "out"
     stem(stems / "good", seed=1)

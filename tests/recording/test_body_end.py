@@ -52,6 +52,7 @@ def pictures_of(ends: float = 1.0) -> tuple[Planes, ...]:
     return tuple(painted(b, ends=ends, seed=i) for i, b in enumerate(BENDS.tolist()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ends", [pytest.param(0.985, marks=pytest.mark.slow), 0.995, 1.0])
 def test_the_end_lies_where_it_was_painted(ends: float) -> None:
     _, _, scale = stations_and_hidden()
@@ -59,6 +60,7 @@ def test_the_end_lies_where_it_was_painted(ends: float) -> None:
     assert np.abs(found - 0.34).max() < 0.2  # `painted` goes on by a third of a pixel, as its samples lie
 
 
+@pytest.mark.slow
 def test_a_dot_at_the_tip_and_a_band_before_it_are_no_end() -> None:
     plain = pictures_of()
     dots = [marked(one, b, 1.0, across=0.003, along=0.003) for one, b in zip(plain, BENDS.tolist(), strict=True)]

@@ -83,6 +83,7 @@ def test_force_and_markers_meet_on_one_clock() -> None:
     assert found.rest_angle == pytest.approx(np.zeros(3), abs=math.radians(0.2))
 
 
+@pytest.mark.slow
 def test_the_beam_defines_the_frame_not_the_base_tag() -> None:
     straight = plain()
     turn = math.radians(1.5)
@@ -92,6 +93,7 @@ def test_the_beam_defines_the_frame_not_the_base_tag() -> None:
     assert any("base tag is turned by 1.5 deg" in remark.text for remark in skew.source.remarks)
 
 
+@pytest.mark.slow
 def test_forces_of_opposite_sign_are_named() -> None:
     log = PUSHED.log()
     with pytest.raises(ObservationError, match=r"opposite sign.*acts_on"):
@@ -107,6 +109,7 @@ def test_a_film_at_a_wrong_rate_is_told_to_look_at_it() -> None:
         assemble(recording(), slow, PUSHED.log(), None, ObserveSettings())
 
 
+@pytest.mark.slow
 def test_where_frames_were_lost_and_closed_up_not_only_the_axes_are_suspected() -> None:
     short = replace(PUSHED.markers(), time=0.85 * PUSHED.markers().time)
     remarks = assemble(recording(video=ROUGHLY), short, PUSHED.log(), None, ObserveSettings()).source.remarks
@@ -122,6 +125,7 @@ def test_a_wrong_start_is_not_taken_for_wrong_axes() -> None:
             observed(rec=recording(video=video))
 
 
+@pytest.mark.slow
 def test_a_swap_is_named_in_the_axes_of_the_log() -> None:
     log = PUSHED.log()
     entry = ForceEntry(Path("force.csv"), rotation=math.radians(30))

@@ -131,6 +131,7 @@ def test_the_middle_lies_where_it_was_painted() -> None:
     assert float(np.sqrt(np.nanmean(off**2))) < 0.15
 
 
+@pytest.mark.slow
 def test_a_body_that_is_bent_in_its_first_picture_is_found_from_the_clamp_on() -> None:
     bend = np.full(3, BENT)
     off = errors(traced([painted(BENT, seed=i) for i in range(3)]), bend)
@@ -138,6 +139,7 @@ def test_a_body_that_is_bent_in_its_first_picture_is_found_from_the_clamp_on() -
     assert float(np.sqrt(np.nanmean(off**2))) < 0.15
 
 
+@pytest.mark.slow
 def test_the_sd_is_that_of_the_error() -> None:
     claimed, true = [], []
     for bend in (0.1, 0.25, 0.4):
@@ -291,6 +293,7 @@ def test_pictures_without_the_body_are_left_out_and_told() -> None:
     assert "1 of 4 frames" in remark.text
 
 
+@pytest.mark.slow
 def test_a_body_that_moved_on_while_it_was_hidden_is_found_again() -> None:
     pictures = [painted(0.0), painted(0.0, ends=0.02, seed=1), *(painted(BENT + 0.1 * i, seed=2 + i) for i in range(3))]
     stations, hidden, _ = stations_and_hidden()
@@ -381,6 +384,7 @@ def dotted(planes: Planes, bend: float, radius: float) -> Planes:
     return Planes(luma.astype(np.uint8), chroma.astype(np.uint8))
 
 
+@pytest.mark.slow
 def test_dots_on_the_body_do_not_move_its_middle() -> None:
     pictures = [dotted(painted(b, seed=i), b, 0.003) for i, b in enumerate(BENDS.tolist())]
     off = errors(traced(pictures), BENDS)

@@ -100,6 +100,7 @@ def test_a_level_view_is_a_plain_similarity() -> None:
     np.testing.assert_allclose(project(LEVEL, points), ORIGIN + SCALE * room * [1.0, -1.0], atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off", [0.0, 3.0])
 def test_the_curve_lies_on_the_body_and_k_follows_from_its_weight(tmp_path: Path, off: float) -> None:
     folder = folder_of(tmp_path / "one", painted(LEVEL), LEVEL, off=off)
@@ -129,6 +130,7 @@ def test_two_clicks_are_enough_for_a_body_of_its_own_colour(tmp_path: Path) -> N
     assert float(np.max(away)) < 0.15
 
 
+@pytest.mark.slow
 def test_the_scale_is_the_bodys_own_length(tmp_path: Path) -> None:
     """The same body in a picture three times as large, which is made smaller before its edges are looked for."""
     large = level_view(3.0 * ORIGIN, 3.0 * SCALE, TURN)

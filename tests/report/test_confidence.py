@@ -71,6 +71,7 @@ def test_the_gain_is_in_the_card_and_said_apart() -> None:
     assert "weight" in say("scale by weight")
 
 
+@pytest.mark.slow
 def test_nothing_counts_as_identified_where_k_is_in_doubt() -> None:
     one = replace(uncertain(*[0.01] * 5), doubts=("the fit did not converge",))
     assert not one.band(np.linspace(0.0, 1.0, 11)).identified.any()

@@ -50,6 +50,7 @@ def test_each_kind_is_told_from_the_others() -> None:
     assert learned_from(with_source(film, clean_force=None)) == "90 frames of a film, under its own weight"
 
 
+@pytest.mark.slow
 def test_the_page_of_hung_weights_speaks_of_no_film_and_of_no_force_log() -> None:
     run = hung_weights()
     text = Links(page(run, {})).text
@@ -61,6 +62,7 @@ def test_the_page_of_hung_weights_speaks_of_no_film_and_of_no_force_log() -> Non
         assert right in text, right
 
 
+@pytest.mark.slow
 def test_hung_weights_have_one_distance_from_the_fit() -> None:
     """Against the loads as written, with the clamp's turn left in, is no second measure of the same fit."""
     run = hung_weights()

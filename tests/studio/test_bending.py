@@ -80,6 +80,7 @@ def opened(client: TestClient) -> WebSocketTestSession:
     return client.websocket_connect(SOCKET, headers=own(host=f"127.0.0.1:{PORT}"))
 
 
+@pytest.mark.slow
 def test_a_drag_is_answered_with_the_force_that_reach_gives(working: TestClient, folder: Path) -> None:
     beam = read_model(folder / "beam").beam
     goal = beam.equilibrium((0.05, 0.2)).xy(1.0)

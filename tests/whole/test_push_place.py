@@ -93,6 +93,7 @@ def as_posterior(s: Array, gain: Array, written: float) -> dict[str, Any]:
     return dict(zip(("places", "weight", "mistaken"), place_posterior(s, gain, written, EXACT), strict=True))
 
 
+@pytest.mark.slow
 def test_a_band_widens_steadily_with_the_probability_of_a_mistake() -> None:
     one = fitted(0.75, 1.0)
     sd = stiffness_of(one.problem, one.optimum, 0.0).log_at(SHAPE_PLACES)[1]
@@ -196,6 +197,7 @@ def test_a_place_that_is_left_open_is_said_and_one_that_others_outweigh_is_warne
         assert found.doubts == replace(one, place=None).doubts
 
 
+@pytest.mark.slow
 def test_a_push_that_acts_farther_out_is_accused_by_the_same_level() -> None:
     one = fitted(1.0, 0.7)  # the k(s) found there is one that no step leads away from
     search = search_place(one.problem, one.optimum, SETTINGS)
@@ -204,6 +206,7 @@ def test_a_push_that_acts_farther_out_is_accused_by_the_same_level() -> None:
     assert search.s[np.argmax(search.gain)] > 0.9
 
 
+@pytest.mark.slow
 def test_a_right_place_inside_gains_nothing_on_either_side() -> None:
     one = fitted(0.75, 0.75)
     search = search_place(one.problem, one.optimum, SETTINGS)

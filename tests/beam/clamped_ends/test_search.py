@@ -139,6 +139,7 @@ def test_mirror_and_turned_room(x: float, y: float, angle: float, turn: float) -
     assert turned.wrench[0, 2] == pytest.approx(held.wrench[0, 2], rel=1e-7, abs=1e-7)
 
 
+@pytest.mark.slow
 def test_every_pose_of_a_hard_batch_is_held_stably() -> None:
     rng = np.random.default_rng(1)
     reach, direction, angle = 0.9 * np.sqrt(rng.random(100)), rng.uniform(-np.pi, np.pi, 100), rng.uniform(-4, 4, 100)
@@ -172,6 +173,7 @@ def fold_of_the_bow() -> float:
     return float(np.max(around(np.linspace(0.0, 1.5, 10001))))
 
 
+@pytest.mark.slow
 def test_a_bow_snaps_over_where_its_branch_folds() -> None:
     fold = fold_of_the_bow()
     assert 0.5 < fold < 0.6

@@ -99,6 +99,7 @@ def test_gain_margin_is_where_a_locus_crosses_the_negative_axis() -> None:
     assert margins(loop).gain == pytest.approx(1.0 / np.max(np.abs(curves[:-1][crosses])), rel=1e-3)
 
 
+@pytest.mark.slow
 @settings(max_examples=3)
 @given(st.floats(0.0, 0.12), st.floats(0.3, 2.0))
 def test_delay_margin_is_the_onset(delay: float, rate: float) -> None:

@@ -41,6 +41,7 @@ def test_feedback_takes_off_what_a_wrong_stiffness_leaves() -> None:
         assert one.steady == pytest.approx(float(np.linalg.norm(there - GOAL)), rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_beam_of_unknown_mass_is_given_one() -> None:
     light = Beam(BEAM.length, BEAM.stiffness)
     (only,) = simulate_trials(controller(light, GOAL), wrong_beams(light, 0.0), eye=LoopCamera(noise=0.0), duration=2.5)

@@ -74,6 +74,7 @@ def test_error_goes_where_k_is_wrong_and_the_camera_bad(name: str) -> None:
     assert simulate_loop(reaching(), truth, 6.0, seed=3).steady() < 5e-4
 
 
+@pytest.mark.slow
 def test_both_settle_sooner_than_feedback_alone_and_open_loop_never() -> None:
     truth = TrueSystem(replace(BEAM, stiffness=WRONG["softer"]), eye=LoopCamera(delay=0.06))
     both, alone, never = (
@@ -131,6 +132,7 @@ def test_hidden_frames_hold_the_force_and_the_loop_goes_on() -> None:
     assert found.steady() < 5e-4
 
 
+@pytest.mark.slow
 def test_a_robot_with_a_wrong_gain_and_a_bias_is_corrected_too() -> None:
     found = simulate_loop(reaching(), TrueSystem(BEAM, hand=Actuator(0.03, 0.9, (0.03, -0.02))), 5.0)
     assert found.steady() < 5e-4

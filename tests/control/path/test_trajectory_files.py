@@ -36,6 +36,7 @@ def test_csv_comes_back(way: FollowedPath, tmp_path: Path) -> None:
     np.testing.assert_allclose([float(r["gripper_angle_rad"]) for r in rows], way.poses[:, 2], rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_yaml_is_what_ros_would_read(way: FollowedPath, tmp_path: Path) -> None:
     assert write_yaml(tmp_path, way, frame="table") == [
         "gripper_trajectory.yaml",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from benchmarks.reach_goals import goals, places_under
 from onebend.beam.model import Beam
@@ -41,6 +42,7 @@ def test_nearly_all_goals_are_one_step_away_and_right() -> None:
     assert one_step > 0.8 * count
 
 
+@pytest.mark.slow
 def test_what_was_reached_before_changes_no_number() -> None:
     goal, met = (0.11, 0.09), replace(BEAM)
     for other in ((0.13, 0.05), (0.1, -0.08)):

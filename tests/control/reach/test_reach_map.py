@@ -66,6 +66,7 @@ def test_a_goal_of_a_known_force_gives_that_force_back() -> None:
         assert np.allclose(answer.state.load[:2], force, atol=2e-4 * MOST)
 
 
+@pytest.mark.slow
 def test_what_is_out_of_reach_is_answered_as_near_as_reach_finds() -> None:
     one, settings = dragged(), ReachSettings(max_force=MOST)
     for goal in goals(6, 1):

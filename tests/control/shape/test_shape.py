@@ -99,6 +99,7 @@ def test_out_of_reach_is_the_nearest_and_stationary() -> None:
         assert cost(found.forces[0] + step) > here
 
 
+@pytest.mark.slow
 def test_where_stability_bars_the_way_is_said() -> None:
     """An S is nearest to a tip push that would buckle the beam."""
     found = shape(SOFT, curve(S, np.stack([0.15 * S, 0.05 * np.sin(2 * np.pi * S)], axis=1)), pushes=[Pusher(1.0)])
@@ -176,6 +177,7 @@ def test_what_cannot_be_asked() -> None:
         Pusher(1.0, max_force=-1.0)
 
 
+@pytest.mark.slow
 def test_same_question_same_answer() -> None:
     goal = curve(S, np.stack([0.15 * S, 0.05 * S**2], axis=1))
     a, b = (shape(SOFT, goal, pushes=[Pusher(0.5, 0.5), Pusher(1.0, 0.5)]) for _ in range(2))

@@ -142,6 +142,7 @@ def drawn(linear_fit: LinearisedFit, posterior: Posterior, rng: np.random.Genera
     return replace(linear_fit, rows=(replace(rows, r=r),), step=linear_fit.solved.times_covariance(slope))
 
 
+@pytest.mark.slow
 def test_a_score_is_chi_squared_where_the_model_is_right() -> None:
     one, rng = fitted(), np.random.default_rng(4)
     linear_fit = linearised(one.problem, one.optimum)
@@ -196,6 +197,7 @@ def test_a_turned_tag_is_noted_but_does_no_harm() -> None:
     assert re.search(r"tag 1 is turned by (8\.9|9) deg", remark.text)
 
 
+@pytest.mark.slow
 def test_clocks_that_run_apart_are_told() -> None:
     beam = Beam(0.15, Powers((0.02, 0.02)), mass_per_length=Uniform(0.3))
     slow = PushProfile(0.4, before=1.0, rise=2.0, hold=0.3, fall=2.0, after=1.0)

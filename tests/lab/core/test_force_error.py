@@ -101,6 +101,7 @@ def test_a_push_to_come_is_zeroed_in_the_rest_before_it_alone(found: Posterior) 
     assert low < walked < high  # with the rest after it, too, it would be known better than at its largest force
 
 
+@pytest.mark.slow
 def test_a_sensor_without_such_an_error_stays_sharp(found: Posterior) -> None:
     clean = fit([seen(stepped(np.zeros((2, 2))))], 0.02, settings=IDEAL)
     assert clean.optimum.hyperparameters.load * clean.recordings[0].error.noise.load < 0.01 * PEAK
@@ -216,6 +217,7 @@ def test_a_declared_size_is_what_is_expected() -> None:
     assert force_error(with_stated(o, load_error_sd=0.07), o.time[o.loaded]).noise.load == 0.07
 
 
+@pytest.mark.slow
 def test_a_log_of_minutes_that_was_touched_before_and_after_the_film_is_one_of_the_push() -> None:
     made = virtual_recording(BENCH, seed=1)
     log, away = made.log, np.arange(5.0, 200.0, 0.01)

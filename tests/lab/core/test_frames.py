@@ -60,6 +60,7 @@ def test_without_a_filter_or_where_little_would_be_left_all_are_used() -> None:
     np.testing.assert_array_equal(learnable_frames(with_source(seen, clean_force=None)), usable_frames(seen))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fall", [0.03, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_a_beam_that_is_let_go_is_learned_as_well_as_one_led_back(fall: float) -> None:
     found = fit([pushed(fall)], 0.03, settings=replace(IDEAL, functions=16, most_frames=120))

@@ -58,6 +58,7 @@ def test_displacement_bridges_missing_tags() -> None:
 BENCH = VirtualBench(Beam(0.15, Uniform(0.02)), PushProfile(0.4), sensor=ForceSensor(white_sd=0.004, reversal=0.12))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_the_clock_is_found_though_the_logs_error_changes_with_the_load(seed: int) -> None:
     steps = observe_virtual(virtual_recording(BENCH, seed=seed)).source.clock

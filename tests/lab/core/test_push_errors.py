@@ -109,6 +109,7 @@ def found(one: Posterior, name: str) -> tuple[float, float]:
     return next((n.value, n.sd) for n in one.nuisances() if n.name.endswith(name))
 
 
+@pytest.mark.slow
 def test_what_the_push_is_off_by_widens_the_band() -> None:
     s = np.linspace(0.1, 0.9, 9)
     known, free = learned(place_sd=0.0, direction_sd=0.0, start_sd=1.0), learned(start_sd=1.0)
@@ -120,12 +121,14 @@ def test_what_the_push_is_off_by_widens_the_band() -> None:
     assert worded(fit_notices(free)) == ()
 
 
+@pytest.mark.slow
 def test_axes_that_are_off_are_found_within_their_tolerance() -> None:
     turn, sd = found(learned(turn=0.15, direction_sd=0.3), "force axes")
     assert sd < 0.05
     assert abs(turn + 0.15) < 3.0 * sd
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "wrong"),
     [

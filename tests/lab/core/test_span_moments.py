@@ -145,6 +145,7 @@ def misses(errors: str, seeds: range) -> tuple[np.ndarray, np.ndarray]:
     return np.array(error), np.array(sd)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_white_noise_is_matched_to_milliseconds(seed: int) -> None:
     error, sd = misses("white", range(seed, seed + 1))

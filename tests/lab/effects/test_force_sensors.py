@@ -65,6 +65,7 @@ def error(found: Posterior) -> float:
     return float(np.sqrt(np.mean((found.stiffness.log_at(S)[0] - np.log(np.asarray(BEAM.stiffness(S)))) ** 2)))
 
 
+@pytest.mark.slow
 def test_a_slow_sensor_is_found_and_costs_no_stiffness() -> None:
     found = fitted("slow")
     one = named(found, "lag squared")  # its effect is that of a second derivative, of a force that is low-passed
@@ -72,6 +73,7 @@ def test_a_slow_sensor_is_found_and_costs_no_stiffness() -> None:
     assert error(found) < 0.8 * error(fitted("slow", "lag"))
 
 
+@pytest.mark.slow
 def test_hysteresis_is_found_and_costs_no_stiffness() -> None:
     found = fitted("loops")
     loop = named(found, "hysteresis of the force").value
@@ -80,12 +82,14 @@ def test_hysteresis_is_found_and_costs_no_stiffness() -> None:
     assert error(found) < 0.5 * error(fitted("loops", "hysteresis"))
 
 
+@pytest.mark.slow
 def test_a_force_that_grows_too_little_is_told() -> None:
     found = fitted("limited")
     assert "force curve" in [one.score.suspect.name for one in found.criticism.alarms]
     assert found.grade == "not to be trusted"
 
 
+@pytest.mark.slow
 def test_a_sensor_without_either_costs_next_to_nothing() -> None:
     found, without = fitted("good"), fitted("good", "lag", "hysteresis")
     assert named(found, "lag squared").value < 0.1 * LAG_SD

@@ -74,6 +74,7 @@ def test_thickness_follows_the_cube_root_of_k() -> None:
     np.testing.assert_allclose(np.diff(at, prepend=0.0) / (0.5 * L) - 1.0, strain, rtol=5e-3)
 
 
+@pytest.mark.slow
 def test_under_a_held_push_the_beam_creeps_as_a_standard_linear_solid() -> None:
     share, tau = 0.1, 1.2
     sudden = replace(HELD, rise=0.01, hold=4.0, before=0.1, peak=1e-3)
@@ -86,6 +87,7 @@ def test_under_a_held_push_the_beam_creeps_as_a_standard_linear_solid() -> None:
     np.testing.assert_allclose(size, elastic * (1.0 + late), rtol=5e-4)
 
 
+@pytest.mark.slow
 def test_force_of_a_held_shape_relaxes_by_its_share() -> None:
     share, tau = 0.12, 0.8
     time: Array = 2e-3 * np.arange(2001.0)

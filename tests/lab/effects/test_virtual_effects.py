@@ -76,6 +76,7 @@ def test_the_truth_has_patches_and_the_secant_modulus() -> None:
     assert 0.9 < secant[0] < 1.0
 
 
+@pytest.mark.slow
 def test_a_static_fit_finds_the_secant_modulus() -> None:
     """Relaxation quick against the push leaves a beam that is softer by its share."""
     one = made(relaxation=0.1, relaxation_time=0.02)
@@ -131,6 +132,7 @@ def test_one_effect_alone_is_alone() -> None:
         only("magic")
 
 
+@pytest.mark.slow
 def test_pushes_of_the_tip_stay_on_the_beam() -> None:
     for seed in range(5):
         one = virtual_recording(replace(drawn(seed, "slide", "push_off"), fps=4.0), seed=seed)
@@ -177,6 +179,7 @@ def test_random_benches_are_the_same_but_for_their_effects() -> None:
     assert real.bench.effects.patch_length == pytest.approx(1.25 * real.tag_size)
 
 
+@pytest.mark.slow
 def test_a_set_up_is_as_relaxed_as_the_push_was_at_the_end_of_its_hold() -> None:
     """The beam creeps by 3 mm while it is held; the force is largest as early as late."""
     bench = replace(BENCH, push=replace(PUSH, turn=0.0, hold=3.0))

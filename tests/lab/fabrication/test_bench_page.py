@@ -16,6 +16,7 @@ from tests.lab.printed import page_image, tags_in
 PAGE = (Path(__file__).parents[3] / "docs" / "lab.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_pages_first_example_runs() -> None:
     there: dict[str, Any] = {}
     exec(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[0], there)

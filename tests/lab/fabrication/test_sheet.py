@@ -57,6 +57,7 @@ TAGS = TagsEntry(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("page", "size"), [("a4", 0.012), ("letter", 0.0205)])
 def test_tags_are_read_back_upright_and_at_their_size(page: str, size: float) -> None:
     ids = (0, 1, 2, 3, 4, 586)
@@ -76,6 +77,7 @@ def test_tags_are_read_back_upright_and_at_their_size(page: str, size: float) ->
         assert last - first == pytest.approx(1e3 * size, abs=WITHIN)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "family", [pytest.param(one, marks=() if one == FAMILIES[-1] else pytest.mark.slow) for one in FAMILIES]
 )
@@ -99,6 +101,7 @@ def test_rulers_measure_what_they_say() -> None:
     assert last - first == pytest.approx(RULER, abs=WITHIN + 2 * line)
 
 
+@pytest.mark.slow
 def test_more_tags_than_fit_go_on_to_another_page() -> None:
     sheet = Sheet(tuple(range(60)), 0.03)
     pages = tag_pages(sheet)
@@ -112,6 +115,7 @@ def test_more_tags_than_fit_go_on_to_another_page() -> None:
         assert np.all(corners.max(axis=0) <= size_of(page) - 10.0)
 
 
+@pytest.mark.slow
 def test_the_white_rim_is_left_free() -> None:
     sheet = Sheet((7,), 0.012, rim=2.0)
     (page,) = tag_pages(sheet)
@@ -123,6 +127,7 @@ def test_the_white_rim_is_left_free() -> None:
     assert np.all(image[y0:y1, x0:x1] == 255)
 
 
+@pytest.mark.slow
 def test_a_strip_has_the_tags_at_their_places_and_turns() -> None:
     page = strip_page(recording(replace(TAGS, on_base=(*TAGS.on_base, TagEntry(9, 0.0)))))  # tag 9: on the bench
     found = tags_in(page_image(pdf([page], "t")))
@@ -155,6 +160,7 @@ def test_svg_says_the_same_as_the_pdf() -> None:
     np.testing.assert_allclose(found * 25.4 / 72.0, fill, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_pdf_is_whole_and_the_same_each_time() -> None:
     pages = tag_pages(Sheet(tuple(range(14)), 0.06))
     made = pdf(pages, "t")

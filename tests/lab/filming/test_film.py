@@ -114,6 +114,7 @@ def test_the_truth_agrees_with_itself(folder: Path) -> None:
     assert facts["clock"]["error_said_minus_true"] == pytest.approx(0.4)
 
 
+@pytest.mark.slow
 def test_the_same_seed_makes_the_same_files_and_another_one_does_not(tmp_path: Path) -> None:
     blink = replace(PUSH, before=0.0, rise=0.1, hold=0.0, fall=0.1, after=0.0)
     short = replace(FILMING, bench=replace(BENCH, push=blink))

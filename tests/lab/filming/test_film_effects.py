@@ -64,6 +64,7 @@ def rms(error: Array) -> float:
     return float(np.sqrt(np.nanmean(error.mean(axis=-2) ** 2)))
 
 
+@pytest.mark.slow
 def test_tags_in_space_are_seen_where_they_stand(tmp_path: Path) -> None:
     filming = real()
     folder = film(filming, tmp_path / "space", seed=3)
@@ -88,6 +89,7 @@ def test_a_moving_camera_moves_all_tags_alike(tmp_path: Path) -> None:
     assert float(np.std(truth["camera_px"])) > 0.8
 
 
+@pytest.mark.slow
 def test_rows_are_exposed_one_after_the_other(tmp_path: Path) -> None:
     filming = real(readout=0.04, shake=0.4)
     folder = film(filming, tmp_path / "rolling", seed=3)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from onebend.learning.allowances import EVERY_ALLOWANCE, rubbing
 from onebend.learning.optimizer import FitSettings
@@ -64,6 +65,7 @@ def test_it_is_found() -> None:
     assert one.sd < 0.5 * one.prior_sd
 
 
+@pytest.mark.slow
 def test_a_tool_that_does_not_rub_costs_next_to_nothing() -> None:
     found, without = fitted(rubbed(0.0)), fitted(rubbed(0.0), "rub")
     one = friction_in(found)

@@ -152,6 +152,7 @@ def dense(known: Instruments, push: PlannedPush) -> tuple[Array, Array]:
     return j[:, :5], np.diag(noise) + nuisance @ prior_covariance(known, push) @ nuisance.T
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("push", [TIP, PlannedPush(0.6, -1.3, 0.5)])
 def test_information_is_that_of_dense_algebra_on_differences(push: PlannedPush) -> None:
     j, covariance = dense(bench(), push)

@@ -61,6 +61,7 @@ def test_the_bench_holds_what_the_fit_knows_of_tags_and_stiffness_together(middl
     assert made.frames == 60
 
 
+@pytest.mark.slow
 def test_what_stiffens_the_beam_under_its_tags_is_planned_with() -> None:
     one = fit([ramp(MIDDLE, 1)], 0.02, settings=replace(FUNCTIONS, allowances=frozenset({"patches"})))
     joint, f = instruments_of(one).joint(one.stiffness.covariance), one.layout.spline.finer.count
@@ -144,6 +145,7 @@ def test_the_second_of_two_pushes_gains_less_than_the_first(next_pushes: Plan) -
     assert 0.0 < gains[1] < gains[0]
 
 
+@pytest.mark.slow
 def test_limits_hold(middle: Posterior) -> None:
     turn = float(np.deg2rad(25.0))
     limits = Limits(force=0.2, tip_turn=turn)

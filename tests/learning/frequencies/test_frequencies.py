@@ -115,6 +115,7 @@ def test_a_frequency_of_another_mode_is_a_doubt(tmp_path: Path) -> None:
     assert any(remark.level == "warning" for remark in worded(frequency_notices(posterior.frequencies)))
 
 
+@pytest.mark.slow
 def test_the_mass_is_learned_beside_k_from_poses_and_frequencies(tmp_path: Path) -> None:
     case = CASES[2]
     recording(tmp_path / "one", case, [frequency(ruler(), *row) for row in case.rows], np.random.default_rng(0))

@@ -91,6 +91,7 @@ def test_derivatives_with_every_parameter_are_exact(tmp_path: Path) -> None:
         np.testing.assert_allclose(analytic[..., i], numeric, atol=2e-6 * max(float(np.abs(numeric).max()), 1e-2))
 
 
+@pytest.mark.slow
 def test_weight_sets_the_scale_of_k_between_held_ends(tmp_path: Path) -> None:
     o = observe(held_folder(tmp_path / "rod", held_points(HEAVY, weight(G * DOWN), 2e-4)))
     posterior = learned(o)
@@ -108,6 +109,7 @@ def test_weight_sets_the_scale_of_k_between_held_ends(tmp_path: Path) -> None:
     assert back.held.all()
 
 
+@pytest.mark.slow
 def test_an_end_that_nobody_measured_is_found(tmp_path: Path) -> None:
     shown = held_points(HEAVY, weight(G * DOWN), 2e-4)
     shown[2, -1] = np.nan
@@ -178,6 +180,7 @@ def test_a_held_pose_that_shows_too_little_is_refused(tmp_path: Path) -> None:
         observe(held_folder(tmp_path / "rod", shown))
 
 
+@pytest.mark.slow
 def test_an_end_read_beyond_the_beams_reach_is_put_within(tmp_path: Path) -> None:
     """As a ruler may read a wire that hangs nearly straight."""
     end = np.array([[0.15, -0.47, -1.2]])

@@ -88,6 +88,7 @@ def in_setup(**parts: tuple[float, float]) -> SetUp:
     return SetUp(AT, (force[0], force[1]), places, 1e-9, sizes, mean, slope, np.diag(sd**2), np.maximum(sd, 1e-9))
 
 
+@pytest.mark.slow
 def test_another_push_is_validated_in_the_set_up_that_was_learned() -> None:
     turned, longer = 0.02, 0.01
     real = replace(BEAM, length=BEAM.length * np.exp(longer), clamp_angle=turned)
@@ -113,6 +114,7 @@ def test_what_is_likely_in_a_set_up_is_the_spread_of_pushes_anew() -> None:
     assert found.likely_rms == pytest.approx(np.sqrt(mean_square(away) + 2e-10), rel=0.2)  # of 60 draws
 
 
+@pytest.mark.slow
 def test_the_error_with_the_posture_is_a_share_of_the_force_of_the_push_at_hand() -> None:
     """However large that of the recording was."""
     made = replace(seen(), force_sd=np.zeros(2))

@@ -203,6 +203,7 @@ def holds(posterior: Posterior) -> bool:
     return bool(np.all((band.low < 0.2) & (band.high > 0.2)))
 
 
+@pytest.mark.slow
 def test_a_curve_whose_errors_are_alike_tells_less_than_its_points() -> None:
     """Forty points a pose, read to 1 mm, alike over 0.15 m: taken as each its own, the band misses the truth."""
     s = np.arange(1, 41) / 40
@@ -220,6 +221,7 @@ def test_a_curve_whose_errors_are_alike_tells_less_than_its_points() -> None:
     assert np.log(alike.high[0] / alike.low[0]) > 1.5 * np.log(own.high[0] / own.low[0])
 
 
+@pytest.mark.slow
 def test_repeats_between_which_the_beam_took_a_set() -> None:
     """Their turn at rest differs by 0.2 rad: with a shape of its own each, k(s) is what it is."""
     sets = [replace(ROD, rest_curvature=Uniform(turn)) for turn in (-0.1, 0.1)]

@@ -55,6 +55,7 @@ def test_a_hand_that_moves_the_beam_to_and_fro_has_not_let_go() -> None:
     assert abs(one.end.time - 1.5) < 0.03  # and not where it goes through rest, at 0.75, 1 and 1.25 s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("power", [1, 2, 3])
 def test_an_end_without_a_swing_is_that_of_a_power_of_time(power: int) -> None:
     time = np.arange(150) / FPS

@@ -73,6 +73,7 @@ def test_frames_together_tell_more_than_one_alone_and_agree_with_it() -> None:
 IN_TIME = ("time", "frame", "xy", "angle", "covariance", "force", "push_s", "loaded", "gravity")
 
 
+@pytest.mark.slow
 def test_regions_hold_noise_and_the_band_of_k_under_a_push_across_the_beam() -> None:
     knots = np.array([0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 1.0, 1.0])
     root = 0.05 * np.eye(5) + 0.03
@@ -106,6 +107,7 @@ def test_the_prior_is_named_where_much_of_a_component_comes_from_it() -> None:
     assert np.all(narrow.weak_sd <= 0.0101)
 
 
+@pytest.mark.slow
 def test_another_beam_is_noticed_and_the_right_one_is_not() -> None:
     o = observed(SOFT, few(20), noise=(3e-5, 1e-3))
     s = np.linspace(0.0, 1.0, 41)

@@ -75,6 +75,7 @@ def test_gain_direction_delay_bias_and_drift_are_found_within_their_bands() -> N
     assert found.direction[1] < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_what_the_shape_does_not_tell_is_no_information_on_the_axes(seed: int) -> None:
     """One component is hardly told: its scatter must not count as a direction that is known."""
@@ -86,6 +87,7 @@ def test_what_the_shape_does_not_tell_is_no_information_on_the_axes(seed: int) -
     assert abs(found.direction[0] - TURNED) < 2.5 * found.direction[1]
 
 
+@pytest.mark.slow
 def test_a_slow_error_of_the_log_widens_the_band_of_its_axes() -> None:
     """As large as it is: a wave of 0.03 N, of which the rests say nothing."""
     rng = np.random.default_rng(3)
@@ -96,6 +98,7 @@ def test_a_slow_error_of_the_log_widens_the_band_of_its_axes() -> None:
     assert abs(bad.direction[0] - TURNED) < 2.5 * bad.direction[1]
 
 
+@pytest.mark.slow
 def test_what_is_unknown_of_the_clock_is_unknown_of_the_delay() -> None:
     """The log's error moved the clock that was found by it, too."""
     told = told_of(push(TIME), np.tile(OWN**2 * np.eye(2), (len(TIME), 1, 1)), np.random.default_rng(2))

@@ -32,6 +32,7 @@ def swing(seed: int, noise: float, alike: float = 0.0, time: Array = TIME) -> Ar
     return np.asarray(clean + np.array([3.0, -5.0, 0.1]) + noise * white)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "alike"), [(0.05, 0.0), (0.05, 0.9)])
 def test_frequencies_and_damping_are_within_their_sd(noise: float, alike: float) -> None:
     z = []

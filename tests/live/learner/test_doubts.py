@@ -91,6 +91,7 @@ def test_a_key_frame_that_the_estimate_cannot_carry_is_said_and_taken_up_again(m
     assert not learner.doubts
 
 
+@pytest.mark.slow
 def test_tags_that_the_estimate_misses_are_said() -> None:
     """A start forty times too soft in the middle of an almost axial push: another shape that explains it badly."""
     size = np.linalg.norm(forces(60), axis=1)

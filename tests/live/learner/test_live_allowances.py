@@ -122,6 +122,7 @@ def soft_and_relaxing(count: int, noise: tuple[float, float]) -> tuple[Observati
     return replace(made, xy=made.xy + away[..., :2], angle=made.angle + away[..., 2]), SPLINE.basis(S) @ log_k
 
 
+@pytest.mark.slow
 def test_stretch_shear_and_relaxation_are_learned_and_the_band_holds() -> None:
     made, log_k = soft_and_relaxing(120, NOISE)
     learner = replay(made, 0.03, settings=FEW)
@@ -138,6 +139,7 @@ def test_stretch_shear_and_relaxation_are_learned_and_the_band_holds() -> None:
     assert np.sqrt(np.mean(((ideal[0] - log_k) / ideal[1]) ** 2)) > 2.0
 
 
+@pytest.mark.slow
 def test_of_an_outline_only_what_is_across_it_counts() -> None:
     """Points that lie farther along the body than written tell the same; no effect of a tag is allowed for."""
     straight, slipped = (replay(traced(off), 0.03, settings=FEW) for off in (0.0, 3e-4))
@@ -177,6 +179,7 @@ def test_what_the_beam_remembers_is_that_of_all_frames_in_turn() -> None:
     np.testing.assert_allclose(state._lineariser._reached(keys, x), reached, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_averages_and_marginalised_frames_keep_the_memory() -> None:
     made, _ = soft_and_relaxing(120, (0.0, 0.0))
     twice = replace(made, time=np.arange(120) / 30.0)

@@ -66,6 +66,7 @@ def test_what_nobody_states_is_as_usual() -> None:
     assert block(with_stated(made(), rest="straight"), "curvature").start < 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_zero_holds_a_nuisance_and_the_fit_reports_none(name: str) -> None:
     held = learned(name, 0.0)
@@ -79,6 +80,7 @@ def test_zero_holds_a_nuisance_and_the_fit_reports_none(name: str) -> None:
     assert np.all(np.isfinite(held.band(np.linspace(0.1, 0.9, 9)).high))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "narrow", "wide"), [("clamp", 0.04, 0.4), ("curvature", 0.05, 0.5),
                                                       ("scale", 0.001, 0.1), ("clock", 0.001, 0.5)])  # fmt: skip
 def test_a_wider_prior_is_reported_and_leaves_more_open(name: str, narrow: float, wide: float) -> None:

@@ -20,6 +20,7 @@ IDEAL, USUAL = IDEAL_LIVE.allowances, LIVE_ALLOWANCES
 TRUTH = np.log(SOFT.stiffness(S))
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_and_the_past_is_kept() -> None:
     made = many_pushes(12, 30)
     learner = OnlineLearner(made.length, MARKERS, 0.03, settings=replace(IDEAL_LIVE, functions=10))
@@ -46,6 +47,7 @@ def kept(allowances: frozenset[str]) -> tuple[Observations, OnlineSettings, tupl
     return made, settings, learned(made, 0.03, replace(settings, key_frames=300)).stiffness.log_at(S)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("keys", "start", "allowances"), [(5, 0.008, IDEAL), (8, 0.03, USUAL)])
 def test_what_is_folded_is_as_if_it_were_kept(keys: int, start: float, allowances: frozenset[str]) -> None:
     """Exact data, sizes that stay: against a learner with room for every frame. A poor start does not stay in it."""

@@ -48,6 +48,7 @@ def squared_error(made: Observations, log_k: Array, settings: OnlineSettings) ->
     return float(away @ np.linalg.solve(basis @ one.covariance @ basis.T, away))
 
 
+@pytest.mark.slow
 def test_error_over_band_is_chi_square_over_seeds() -> None:
     """Sums over 5 beams, within the 99.9 % limits. The sizes are those that beams and errors are drawn with: a band
     that is averaged over all sizes that might be is right on the average over such beams (below), and too wide for
@@ -105,6 +106,7 @@ def test_a_missing_tag_is_as_one_of_no_weight_and_whole_turns_do_not_matter() ->
     np.testing.assert_allclose(missing.log_at(S), weak.log_at(S), atol=1e-7)
 
 
+@pytest.mark.slow
 def test_learning_goes_on_from_what_a_fit_has_found() -> None:
     made = wrong_force(observed(SOFT, forces(60), noise=NOISE, seed=6), 6, 0.004)
     found = fit([made], 0.03, settings=replace(IDEAL, functions=10)).stiffness
@@ -149,6 +151,7 @@ def test_results_speak_of_the_beam_and_of_what_else_was_learned() -> None:
     np.testing.assert_allclose(learner.beam.stiffness(S), np.exp(learner.stiffness.log_at(S)[0]))
 
 
+@pytest.mark.slow
 def test_the_pages_example_runs() -> None:
     page = (Path(__file__).parents[3] / "docs" / "live.md").read_text(encoding="utf-8")
     example = re.findall(r"^```python\n(.*?)^```$", page, flags=re.DOTALL | re.MULTILINE)[1]

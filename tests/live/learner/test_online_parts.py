@@ -52,6 +52,7 @@ def test_what_a_load_did_long_ago_is_kept() -> None:
     assert stages.own(np.array([400 / 30.0]))[0] == pytest.approx(20 * ANEW * 2 + 20 * RELEASED, rel=0.05)
 
 
+@pytest.mark.slow
 def test_sizes_drawn_on_the_way_are_those_that_the_fit_draws() -> None:
     """The geometric means of the last draws, against those of many chains."""
     spline, rng = Spline(10), np.random.default_rng(3)
@@ -112,6 +113,7 @@ def test_a_beam_that_does_not_stretch_is_not_taken_to_stretch_less_than_not_at_a
     assert found.sd == pytest.approx(cut.std(), rel=0.3)
 
 
+@pytest.mark.slow
 def test_reading_changes_nothing() -> None:
     made, few = observed(SOFT, forces(40), noise=NOISE, seed=1), OnlineSettings(functions=8)
     read, quiet = (OnlineLearner(made.length, MARKERS, 0.03, settings=few) for _ in range(2))
@@ -124,6 +126,7 @@ def test_reading_changes_nothing() -> None:
     np.testing.assert_array_equal(read.stiffness.log_at(S), quiet.stiffness.log_at(S))
 
 
+@pytest.mark.slow
 def test_no_frame_costs_much_more_than_others(monkeypatch: pytest.MonkeyPatch) -> None:
     """At most one solution a frame; none where many key frames are linearised, and it rests on one point of them all: a
     mismatch of two points would look like information."""

@@ -100,6 +100,7 @@ def twice(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return plain, robot
 
 
+@pytest.mark.slow
 def test_a_bag_shows_the_markers_and_forces_that_the_files_show(twice: tuple[Path, Path]) -> None:
     plain, robot = (read_recording(folder) for folder in twice)
     assert robot.start == pytest.approx(plain.start, abs=1e-9)

@@ -148,6 +148,7 @@ def test_the_command_writes_the_table_and_replaces_none_unasked(
         assert (wrong.exit_code, word in wrong.stderr) == (2, True)
 
 
+@pytest.mark.slow
 def test_a_charuco_board_in_a_process_of_its_own_ends_well(tmp_path: Path) -> None:
     made = shown(tmp_path / "charuco.mp4", CHARUCO, 10)
     out = tmp_path / "camera.toml"

@@ -119,6 +119,7 @@ def test_weight_is_the_inverse_covariance_of_edge_errors() -> None:
     assert corner_weight(corners) @ np.cov(errors_seen.T) == pytest.approx(np.eye(8), abs=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("calibrated", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_covariance_is_honest(calibrated: bool) -> None:
     """Normalised squared errors over noisy films have the median of chi-squared with 3 degrees of freedom.
@@ -161,6 +162,7 @@ def test_bent_base_tag_is_refused() -> None:
         measure_markers(detections(corners), recording(calibrated=SEEN))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("calibrated", [True, False])
 def test_raised_and_tilted_tags_are_where_they_are(calibrated: bool) -> None:
     """Angles are twice as near as those of tags that count as flat under the true camera, and errors are as said."""
@@ -181,6 +183,7 @@ def test_raised_and_tilted_tags_are_where_they_are(calibrated: bool) -> None:
     np.testing.assert_allclose(found.lying[:, 1:3], lying[:, 1:3], atol=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("calibrated", [True, False])
 def test_one_frame_is_enough_for_a_pose(calibrated: bool) -> None:
     facing = view(tilt=(0.0, 0.0), dist=(0.0,) * 5)
@@ -191,6 +194,7 @@ def test_one_frame_is_enough_for_a_pose(calibrated: bool) -> None:
     assert np.isfinite(squares).all()
 
 
+@pytest.mark.slow
 def test_missing_tags_stay_missing() -> None:
     corners = corners_of(TRUE, SEEN)
     corners[10:20, 3] = np.nan  # the tip

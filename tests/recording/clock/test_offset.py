@@ -49,6 +49,7 @@ def test_found_within_its_sd(pushed: Pushed, said: float, push_s: float | None) 
     assert abs(found.offset - pushed.offset) < min(3.5 * found.sd, 0.05)
 
 
+@pytest.mark.slow
 def test_claimed_sd_covers() -> None:
     misses = []
     for seed in range(8):
@@ -59,6 +60,7 @@ def test_claimed_sd_covers() -> None:
     assert 1.0 < np.sum(np.square(misses)) < 28.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn", [np.pi, *(pytest.param(one, marks=pytest.mark.slow) for one in (0.5, -2.0))])
 def test_sign_and_axes_of_the_log_do_not_matter_to_polynomials(turn: float) -> None:
     pushed = Pushed(seed=20)
@@ -68,6 +70,7 @@ def test_sign_and_axes_of_the_log_do_not_matter_to_polynomials(turn: float) -> N
     assert abs(other.offset - plain.offset) < 0.5 * plain.sd
 
 
+@pytest.mark.slow
 def test_sign_does_not_matter_to_levers() -> None:
     pushed = Pushed(seed=20)
     log = pushed.log()
@@ -91,6 +94,7 @@ def test_dropouts_and_hidden_tags_are_survived() -> None:
     assert abs(found.offset - pushed.offset) < min(3.5 * found.sd, 0.06)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("thinned", [8, 40])
 def test_a_slow_log_has_no_bias(thinned: int) -> None:
     pushed = Pushed(white=0.002, coloured=0.001, seed=26)
@@ -164,6 +168,7 @@ def test_banded_covariance_is_the_dense_one(white: float) -> None:
     assert factor.log_root == pytest.approx(0.5 * np.linalg.slogdet(dense)[1], rel=1e-10)
 
 
+@pytest.mark.slow
 def test_film_of_very_many_frames_is_thinned_and_tells_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     pushed = Pushed(seed=25, film=8.0)
     markers = pushed.markers()

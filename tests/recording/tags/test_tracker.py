@@ -39,6 +39,7 @@ def corners_in(frames: tuple[TrackedFrame, ...] | list[TrackedFrame]) -> Array:
     return np.array([frame.corners for frame in frames])
 
 
+@pytest.mark.slow
 def test_tags_are_where_the_block_wise_search_finds_them() -> None:
     frames, true = push()
     blocks = [track_block(frames[i : i + 16], range(4), Finder("tag36h11")).corners for i in range(0, COUNT, 16)]

@@ -157,6 +157,7 @@ def test_a_curvature_that_is_ruled_out_is_said_to_be_unused(tmp_path: Path) -> N
     assert remarks(tmp_path, saying("rest_curvature_sd_deg", "0", straight)) == []
 
 
+@pytest.mark.slow
 def test_what_is_stated_is_carried_along() -> None:
     whole = recording()
     assert whole.video is not None
@@ -177,6 +178,7 @@ def test_what_is_stated_is_carried_along() -> None:
     assert math.isnan(usual.stated.scale_sd)
 
 
+@pytest.mark.slow
 def test_tracks_have_a_clamp_too(tmp_path: Path) -> None:
     rec = read_recording(track_folder(tmp_path, markers="clamp_sd_deg = 0.5\nstart_uncertainty_s = 0\n"))
     assert rec.clamp_sd == pytest.approx(math.radians(0.5))
@@ -192,6 +194,7 @@ def test_an_uncertainty_without_a_start_says_nothing(tmp_path: Path) -> None:
     assert math.isinf(read(tmp_path, content).start[1])
 
 
+@pytest.mark.slow
 def test_an_exact_start_is_the_offset_however_wrong_it_is() -> None:
     pushed = Pushed(seed=30)
     for said in (pushed.offset, pushed.offset + 0.4):
@@ -205,6 +208,7 @@ def test_an_exact_start_is_the_offset_however_wrong_it_is() -> None:
     assert abs(looked.offset - pushed.offset) < 0.05
 
 
+@pytest.mark.slow
 def test_the_noise_is_found_at_an_exact_start() -> None:
     pushed = Pushed(seed=30)
     exact = fit_clock(pushed.markers(), pushed.log(), pushed.offset, 0.0).noise

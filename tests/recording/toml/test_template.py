@@ -35,6 +35,7 @@ def data(text: str) -> dict[str, object]:
     )
 
 
+@pytest.mark.slow
 def test_the_film_tells_its_tags_its_rate_and_its_date(tmp_path: Path) -> None:
     for name in ("video.mp4", "force.csv"):
         shutil.copy(TRAIN / name, tmp_path / name)
@@ -48,6 +49,7 @@ def test_the_film_tells_its_tags_its_rate_and_its_date(tmp_path: Path) -> None:
     assert [tag["id"] for tag in tags["on_beam"]] == [1, 2, 3]
 
 
+@pytest.mark.slow
 def test_tags_of_which_none_moves_are_all_on_the_base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     in_film = template_module._tags_in
 

@@ -42,6 +42,7 @@ from tests.recording.tool.scenes import (
 TOOL = in_room(0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at", [0.7, 0.8, 1.0])
 @pytest.mark.parametrize("bar", [TOOL, with_beam(0.0), with_beam(0.4)], ids=["in the room", "straight", "slanted"])
 def test_the_tool_is_seen_where_it_touches(at: float, bar: Bar) -> None:
@@ -62,6 +63,7 @@ def test_a_place_where_no_picture_shows_the_tool_has_no_track(monkeypatch: pytes
     assert film.place() == elsewhere
 
 
+@pytest.mark.slow
 def test_a_tool_that_looks_wider_than_what_is_searched_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
     film = filmed((0.8, TOOL))
     wide = replace(film.place(), width=0.25 * LENGTH, track=None)
@@ -95,6 +97,7 @@ def test_what_is_no_tool_is_not_seen(bars: list[tuple[float, Bar]], why: str) ->
     assert why in found.why
 
 
+@pytest.mark.slow
 def test_a_beam_that_rests_long_hides_nothing_that_is_fixed_to_it() -> None:
     film = filmed((0.8, with_beam(0.2, always=True)))
     rows = np.concatenate([np.arange(FRAMES), np.zeros(FRAMES, dtype=int)])

@@ -68,6 +68,7 @@ def film_folder(folder: Path, *, markers: str = "", rows: str = "") -> Path:
 CLAMP = f"clamp_m = {SHIFT.tolist()}\nx_axis = [{np.cos(TURN)}, {np.sin(TURN)}]\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("markers", [CLAMP, ""], ids=["clamp stated", "from rest"])
 def test_a_trackers_curve_is_points_that_are_free_along_it(tmp_path: Path, markers: str) -> None:
     found = track_markers(read_recording(film_folder(tmp_path, markers=markers)))
@@ -82,6 +83,7 @@ def test_a_trackers_curve_is_points_that_are_free_along_it(tmp_path: Path, marke
     assert 0.4 * NOISE < float(np.sqrt(np.median(found.covariance[..., 0, 0]))) < 1.5 * NOISE
 
 
+@pytest.mark.slow
 def test_k_is_learned_from_a_trackers_curve(tmp_path: Path) -> None:
     o = observe(film_folder(tmp_path, markers=CLAMP))
     s = np.linspace(0.1, 0.8, 15)
@@ -140,6 +142,7 @@ def pose_folder(folder: Path, *, poses: str = "", rows: str = "", length: float 
     return folder
 
 
+@pytest.mark.slow
 def test_curves_of_static_poses(tmp_path: Path) -> None:
     o = observe(pose_folder(tmp_path))
     assert o.static

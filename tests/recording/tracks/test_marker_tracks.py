@@ -154,6 +154,7 @@ def test_k_is_learned_from_points_alone(tmp_path: Path) -> None:
     assert np.median(np.abs(posterior.beam.stiffness(s) / true - 1)) < 0.05
 
 
+@pytest.mark.slow
 def test_one_clock_for_both_is_taken_at_its_word(tmp_path: Path) -> None:
     folder = track_folder(tmp_path, markers="start_uncertainty_s = 0\n")
     seen = observed(folder)
@@ -161,6 +162,7 @@ def test_one_clock_for_both_is_taken_at_its_word(tmp_path: Path) -> None:
     assert (seen.source.clock.offset, seen.source.clock.sd, seen.source.clock.found) == (START, 0.0, True)
 
 
+@pytest.mark.slow
 def test_overview_names_the_tracks(tmp_path: Path) -> None:
     rows = dict(overview(track_folder(tmp_path)).rows)
     assert "markers.csv" in rows["markers"]

@@ -112,6 +112,7 @@ def test_zeroed_gauges_tell_k(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.reshape(zeros, (5, 2)), hanging()[0], atol=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("zero", [False, True], ids=["from the clamp", "zeroed"])
 def test_rulers_that_stand_read_what_slides_beneath_them(tmp_path: Path, zero: bool) -> None:
     """The rod under them moves on by centimetres: read as marks, the same numbers make no sense."""

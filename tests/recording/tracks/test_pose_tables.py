@@ -108,6 +108,7 @@ def test_a_ruler_gives_one_coordinate(tmp_path: Path) -> None:
     assert np.isnan(up.xy[..., 1]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ruler", [False, True], ids=["both", "ruler"])
 def test_k_is_learned_with_its_band(tmp_path: Path, ruler: bool) -> None:
     """Clamp 0.7 deg off, points read to 0.5 mm by somebody who does not say so, one in six missing."""
@@ -136,6 +137,7 @@ def test_an_exact_table_gives_k_closely(tmp_path: Path) -> None:
     assert posterior.optimum.hyperparameters.noise[0].marker >= 1.0
 
 
+@pytest.mark.slow
 def test_mass_is_learned_beside_k_where_weights_fix_the_scale(tmp_path: Path) -> None:
     loads = "pose,s,weight_N\n" + "".join(f"{i},1,{w}\n" for i, w in enumerate(HUNG))
     beam = 'rest = "straight"\n'  # a rest shape that is unknown bends the rod much as its weight does
@@ -196,6 +198,7 @@ def test_poses_come_through_the_pipeline_and_back_from_disk(tmp_path: Path) -> N
     assert back.known_loads.force.shape == run.recordings[0].known_loads.force.shape
 
 
+@pytest.mark.slow
 def test_the_example_is_learned() -> None:
     """It was made with k = 0.5 and 0.35 N m there, read to half a millimetre, the clamp 0.4 deg off."""
     run = learn(Path(__file__).parents[3] / "examples" / "hung-weights", fitting=FEW)
@@ -272,6 +275,7 @@ def test_a_length_in_millimetres_is_refused(tmp_path: Path) -> None:
         observe(folder)
 
 
+@pytest.mark.slow
 def test_a_wrong_pose_under_a_load_elsewhere_is_left_out(tmp_path: Path) -> None:
     """Without it all loads hang at the tip, and the beam is solved on another grid."""
     tip, middle = push(HUNG[1:, None] * DOWN), push(np.array([[0.0, -0.6]]), 0.6)

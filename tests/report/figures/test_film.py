@@ -62,6 +62,7 @@ def jpeg_of(frame: dict[str, Any]) -> bytes:
     return base64.b64decode(frame["picture"].removeprefix("data:image/jpeg;base64,"))
 
 
+@pytest.mark.slow
 def test_frames_that_were_kept_make_the_same_strip(filmed: Observations) -> None:
     assert filmed.source.video is not None
     kept, entry = KeptFrames(), VideoEntry(file=filmed.source.video)
@@ -103,6 +104,7 @@ def test_what_is_drawn_stands_where_the_small_picture_shows_it(filmed: Observati
     assert np.argmax(sizes) == np.argmax(lengths)
 
 
+@pytest.mark.slow
 def test_the_frames_stay_below_their_limit(filmed: Observations, monkeypatch: pytest.MonkeyPatch) -> None:
     fine = film_strip(filmed, FIT, BEAM, UNCERTAIN)
     assert fine is not None
@@ -147,6 +149,7 @@ def test_frames_that_cannot_be_made_cost_only_themselves(filmed: Observations, m
     assert "fit" in pictures.drawn
 
 
+@pytest.mark.slow
 def test_the_slider_goes_through_the_film(filmed: Observations, tmp_path: Path) -> None:
     strip = film_strip(filmed, FIT, BEAM, UNCERTAIN)
     assert strip is not None

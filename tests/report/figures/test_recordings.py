@@ -93,12 +93,14 @@ def test_figure_is_a_picture_with_units_on_its_axes(name: str) -> None:
     assert all("[" in text or text in bare for text in labels), labels
 
 
+@pytest.mark.slow
 def test_drawing_leaves_no_trace_in_the_callers_settings() -> None:
     before = dict(matplotlib.rcParams)
     png_of(recordings.markers(Shown(made_up.BEAM, ONE, SEEN)))
     assert dict(matplotlib.rcParams) == before
 
 
+@pytest.mark.slow
 def test_the_same_records_give_the_same_bytes() -> None:
     assert png_of(recordings.residuals(ONE)) == png_of(recordings.residuals(ONE))
 
@@ -215,6 +217,7 @@ def test_a_beam_that_cannot_stand_draws_its_markers_only() -> None:
     png_of(recordings.shapes(Shown(beam, ONE, SEEN)))
 
 
+@pytest.mark.slow
 def test_few_frames_unknown_sensor_and_no_force_log() -> None:
     short = made_up.comparison(frames=2)
     png_of(recordings.residuals(short))
@@ -266,6 +269,7 @@ def test_colours_of_many_markers_go_by_their_order() -> None:
     assert named(3) == {0, 1, 2}
 
 
+@pytest.mark.slow
 def test_a_picture_is_the_one_that_matplotlib_lays_out_by_itself() -> None:
     figures, others = every_figure(), every_figure()
     for name in ("band", "markers", "residuals"):

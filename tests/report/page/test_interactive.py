@@ -143,6 +143,7 @@ document.title = JSON.stringify(said);
 """
 
 
+@pytest.mark.slow
 def test_the_curve_is_read_by_touch_and_keys_and_the_beam_is_dragged(tmp_path: Path) -> None:
     found = made_up.findings(0)
     assert found.posterior is not None
@@ -167,6 +168,7 @@ def test_the_curve_is_read_by_touch_and_keys_and_the_beam_is_dragged(tmp_path: P
     assert paths >= 4
 
 
+@pytest.mark.slow
 def test_a_script_from_elsewhere_does_not_run(tmp_path: Path) -> None:
     html = page(made_up.findings(0), {})
     evil = "<script>document.title = 'taken'</script>"
@@ -180,6 +182,7 @@ def test_the_scripts_are_small() -> None:
     assert sum(len(page_file(COMMON, name)) for name in SCRIPTS) < 30_000
 
 
+@pytest.mark.slow
 def test_the_table_of_k_fits_a_phone(tmp_path: Path) -> None:
     script = """const table = document.querySelector("table.k");
 document.title = [table.rows.length, table.scrollWidth <= table.parentElement.clientWidth].join(" ");"""

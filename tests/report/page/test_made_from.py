@@ -46,6 +46,7 @@ def test_without_provenance_there_is_no_such_section() -> None:
     assert "Provenance" not in Links(page(made_up.findings(0), {})).text
 
 
+@pytest.mark.slow
 def test_the_report_and_the_summary_say_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def found(*_: Any, **__: Any) -> Run:
         return made_up.findings(0)
