@@ -31,13 +31,13 @@ from onebend.lab.random_bench import (
     BenchRanges,
     Chance,
     EffectRanges,
-    only,
     random_bench,
 )
 from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_virtual, true_stiffness, virtual_recording
 from onebend.learning.attribution import FORCE_SCALE
 from onebend.learning.posterior import Posterior, fit, stiffness_of
 from onebend.records import Array, Observations
+from tests.lab.effects.chosen import only
 
 IN_POSES = tuple(name for name in EFFECTS if name not in OF_THE_PICTURE)
 CELLS = ("all", "small", *(f"only {name}" for name in IN_POSES), "none")

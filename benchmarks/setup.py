@@ -24,7 +24,7 @@ from benchmarks.real_bench import bench_of
 from onebend.beam.setup import Renewed, posture_terms
 from onebend.control.reach import reach_in_setup
 from onebend.errors import ControlError, LearningError, MechanicsError, ObservationError
-from onebend.lab.bench import smooth, turned
+from onebend.lab.bench import smooth
 from onebend.lab.rod import RodMotion, RodTask, march
 from onebend.lab.virtual import (
     VirtualBench,
@@ -38,7 +38,7 @@ from onebend.learning.allowances import POSTURE_SD, SLIDE_SD
 from onebend.learning.instruments import setup_of
 from onebend.learning.posterior import Posterior, fit
 from onebend.recording.observe import ObserveSettings, assemble
-from onebend.records import DIRECTION_SD, GAIN_SD, PLACE_SD, Array
+from onebend.records import DIRECTION_SD, GAIN_SD, PLACE_SD, Array, rotated
 
 CELLS = ("none", "small", "all")
 GOALS = 4  # a bench
@@ -124,7 +124,7 @@ class TrueSetUp:
 
     def places(self, shown: Array) -> Array:
         """(2, 2) m in the recording's frame: tip and last tag once the sensor shows this force (2,) [N]."""
-        wanted = turned((shown - np.array(self.noise))[None] / self.bench.sensor.gain, -self.axes)[0]
+        wanted = rotated((shown - np.array(self.noise))[None] / self.bench.sensor.gain, -self.axes)[0]
         force, at = wanted, np.append(np.clip(tag_places(self.bench), 0.0, 1.0), 1.0)
         for _ in range(PASSES):
             motion = self.motion(force, at)
@@ -132,7 +132,7 @@ class TrueSetUp:
             force = wanted - np.array([x, y, x * x, x * y, y * y]) @ self.posture
         pose = motion.poses(motion.time[-1:], at)
         pose = np.concatenate([pose[:, -1:], tag_poses_on(self.bench, pose[:, :-1])[:, -1:]], axis=1)
-        return np.asarray(turned(from_base(pose, self.bench.base)[0, :, :2], -self.turn))
+        return rotated(from_base(pose, self.bench.base)[0, :, :2], -self.turn)
 
     def motion(self, force: Array, point: Array) -> RodMotion:
         """From rest to the force, as fast as in the recording, and held."""

@@ -15,7 +15,6 @@ from benchmarks.processes import in_processes
 from onebend.beam.stiffness import half_width
 from onebend.errors import LearningError, MechanicsError, ObservationError
 from onebend.lab import forecast
-from onebend.lab.bench import turned
 from onebend.lab.virtual import (
     DeclaredValues,
     VirtualBench,
@@ -29,7 +28,7 @@ from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
 from onebend.learning.start import start_of
 from onebend.progress import one_blas_thread
-from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, Observations
+from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, Observations, rotated
 from tests.lab.from_truth import observe_from_truth
 
 BASE_TURN = np.deg2rad(1.0)  # sd of the base tag's turn on the clamp
@@ -107,7 +106,7 @@ def simulate_run(setup: forecast.Setup, seed: int) -> SimulatedRun:
 def _observed(setup: forecast.Setup, bench: VirtualBench, seed: int) -> Observations:
     virtual = virtual_recording(bench, seed=seed)
     turn = DIRECTION_SD * float(np.random.default_rng([seed, 32]).standard_normal())  # of the log's axes
-    virtual = replace(virtual, log=replace(virtual.log, force=turned(virtual.log.force, turn)))
+    virtual = replace(virtual, log=replace(virtual.log, force=rotated(virtual.log.force, turn)))
     if math.isnan(setup.clock_sd):
         return observe_virtual(virtual)
     error = setup.clock_sd * float(np.random.default_rng([seed, 31]).standard_normal())

@@ -40,7 +40,7 @@ def left_of(vectors: Array) -> Array:
     return paired(-vectors[..., 1], vectors[..., 0])
 
 
-def rotated(xy: Array, angle: Array) -> Array:
+def rotated(xy: Array, angle: Array | float) -> Array:
     """Vectors `xy` (..., 2) turned counter-clockwise by `angle` (...) [rad]."""
     cos, sin, x, y = np.cos(angle), np.sin(angle), xy[..., 0], xy[..., 1]
     return paired(cos * x - sin * y, sin * x + cos * y)

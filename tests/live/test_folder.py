@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from onebend.errors import RecordingError
-from onebend.live.recording_folder import GrowingTable, copy_description, places_for, retimed, state_start, with_values
+from onebend.live.recording_folder import GrowingTable, copy_description, places_for, retimed, state_values, with_values
 from onebend.live.sources import files_of
 from onebend.live.specs import camera_of, force_of
 from onebend.recording.folder import read_recording
@@ -100,7 +100,7 @@ def test_what_ffmpeg_plays_is_not_replaced(tmp_path: Path) -> None:
 
 def test_the_start_is_written_and_all_else_stays(tmp_path: Path) -> None:
     text = toml().replace("start_uncertainty_s = 0.3\n", "").replace("start_s", "  start_s") + "# the end\n"
-    state_start(folder(tmp_path, text), 0.012)
+    state_values(folder(tmp_path, text), "video", {"start_s": "0.0", "start_uncertainty_s": "0.012"})
     now = (tmp_path / "recording.toml").read_text(encoding="utf-8")
     before, after = tomllib.loads(text), tomllib.loads(now)
     assert after["video"] == {"file": "video.mp4", "start_s": 0.0, "start_uncertainty_s": 0.012}
@@ -127,7 +127,7 @@ def test_a_table_that_cannot_be_edited_is_left_alone(tmp_path: Path) -> None:
     )
     text = "\n".join(line for line in text.splitlines() if not line.startswith("start_")) + "\n"
     with pytest.raises(RecordingError, match=r"Write start_s = 0.0, start_uncertainty_s"):
-        state_start(folder(tmp_path, text), 0.01)
+        state_values(folder(tmp_path, text), "video", {"start_s": "0.0", "start_uncertainty_s": "0.01"})
     assert (tmp_path / "recording.toml").read_text(encoding="utf-8") == text
 
 

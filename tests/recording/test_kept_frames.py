@@ -20,6 +20,7 @@ from onebend.recording.video import (
     read_frames,
     roundest,
     spacing_of,
+    timed,
 )
 from tests.recording.test_video import write_video
 
@@ -33,6 +34,11 @@ def film(tmp_path: Path) -> VideoEntry:
     return write_video(tmp_path / "film.mp4", lumas, range(0, 40 * COUNT, 40), codec="libx264")
 
 
+def pass_by(kept: KeptFrames, film: VideoEntry) -> None:
+    for index, _, raw in timed(film):
+        kept.keep(film, index, raw)
+
+
 def not_sought(_: VideoEntry, indices: Collection[int], **__: bool) -> Iterator[tuple[int, Picture]]:
     """In place of a search of the film, which is not to be made for what is kept."""
     assert set(indices) == {1000}
@@ -43,8 +49,7 @@ def test_frames_that_passed_are_those_that_would_be_sought(film: VideoEntry, mon
     monkeypatch.setattr(kept_frames, "MOST_KEPT_PIXELS", 13 * WIDTH * HEIGHT)
     monkeypatch.setattr(kept_frames, "FEWEST", 5)
     kept = KeptFrames()
-    for _ in read_frames(film, kept.keep):
-        pass
+    pass_by(kept, film)
     every = spacing_of(COUNT, WIDTH * HEIGHT)
     assert every == 4
     assert len(kept) == 13
@@ -64,7 +69,7 @@ def test_what_is_not_kept_is_sought(film: VideoEntry, monkeypatch: pytest.Monkey
     monkeypatch.setattr(kept_frames, "MOST_KEPT_PIXELS", 13 * WIDTH * HEIGHT)
     monkeypatch.setattr(kept_frames, "FEWEST", 5)
     kept = KeptFrames()
-    list(read_frames(film, kept.keep))
+    pass_by(kept, film)
     found = dict(kept.pictures(film, [3, 4]))
     assert list(found) == [3, 4]
     for index, picture in pictures_at(film, [3, 4]):
@@ -82,9 +87,9 @@ def test_another_film_takes_the_place_of_the_first(film: VideoEntry, tmp_path: P
     black = [np.zeros((HEIGHT, WIDTH), dtype=np.uint8)] * 12
     dark = write_video(tmp_path / "dark.mkv", black, range(0, 480, 40))
     kept = KeptFrames()
-    list(read_frames(film, kept.keep))
+    pass_by(kept, film)
     assert len(kept) == COUNT
-    list(read_frames(dark, kept.keep))
+    pass_by(kept, dark)
     assert len(kept) == 12
     assert dict(kept.pictures(dark, [4]))[4].mean() < 2.0
     assert dict(kept.pictures(film, [4]))[4].mean() > 100.0

@@ -167,7 +167,7 @@ def learn(
                 fitting=fit,
                 observing=observing,
                 validate_on=validate_on or (),
-                detect=detection_cache(frames.keep).detect,
+                detect=detection_cache().detect,
                 frames=frames,
                 progress=progress,
             )

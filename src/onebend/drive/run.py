@@ -28,10 +28,10 @@ from onebend.live import guidance, live, recording_folder, session
 from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame
 from onebend.progress import interrupts_held, leave_interrupts_to_parent, real_time
 from onebend.recording.entries import Recording
-from onebend.recording.folder import FILE_NAME, read_recording
+from onebend.recording.folder import read_recording
 from onebend.recording.tags import TrackedFrame
 from onebend.records import Array
-from onebend.text_files import MOST_TOML, read_text, to_json
+from onebend.text_files import to_json
 
 TABLE, SUMMARY = "drive.csv", "drive.json"
 COLUMNS = (
@@ -108,8 +108,10 @@ def drive(
     Raises:
         RecordingError: it ended before anything moved.
     """
-    state_push(folder, plan.push_s)
     rec = read_recording(folder, filmed=False)
+    if rec.push is not None and rec.push.at != plan.push_s:
+        recording_folder.state_values(folder, "push", {"at_s": f"{plan.push_s:.6g}"})
+        rec = read_recording(folder, filmed=False)
     made = Drive(plan, robot, rec, sensor, watch)
     over, table = threading.Event(), _DriveTable(folder / TABLE, made, overwrite=overwrite)
 
@@ -144,15 +146,6 @@ def drive(
         raise RecordingError(f"{why.rstrip('.')}: nothing moved")
     write_file(folder / SUMMARY, to_json(data), overwrite=True)
     return DriveOutcome(recorded, made, data)
-
-
-def state_push(folder: Path, push_s: float) -> None:
-    """Write into recording.toml where the tool acts."""
-    path = folder / FILE_NAME
-    content = read_text(path, RecordingError, most=MOST_TOML)
-    rec = read_recording(folder, filmed=False)
-    if rec.push is not None and rec.push.at != push_s:
-        write_file(path, recording_folder.with_values(content, "push", {"at_s": f"{push_s:.6g}"}), overwrite=True)
 
 
 def drive_data(plan: DrivePlan, made: Drive) -> dict[str, Any]:

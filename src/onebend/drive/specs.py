@@ -20,7 +20,7 @@ from onebend.lab.designs import DESIGNS, find_design
 from onebend.lab.random_bench import SENSORS, FilmRequest, design_with_effects, filming_of
 from onebend.lab.virtual import VirtualBench, VirtualTag
 from onebend.live.sources import CameraSource, ForceSource
-from onebend.live.specs import CAMERAS, FORCES, Options, SourceKind, made, number
+from onebend.live.specs import CAMERAS, FORCES, Options, SourceKind, choice, made, number
 from onebend.recording.entries import Recording
 from onebend.results.model import FILE_NAME, read_model
 
@@ -56,27 +56,21 @@ def _universal(place: str, options: Options) -> MakeRobot:
 
 
 def _franka(place: str, options: Options) -> MakeRobot:
-    mode = options.get("mode", "impedance")
-    if mode not in ("impedance", "pose"):
-        raise RecordingError(f"mode={mode}: take impedance or pose.")
+    gives = choice(options, "mode", ("impedance", "pose")) == "impedance"
     stiff = number(options, "stiffness", STIFFNESS[0], least=10.0, most=3000.0)
     turning = number(options, "turning", STIFFNESS[1], least=1.0, most=300.0)
-    return lambda _rec, _settings: FrankaArm(place, impedance=mode == "impedance", stiffness=(stiff, turning))
+    return lambda _rec, _settings: FrankaArm(place, impedance=gives, stiffness=(stiff, turning))
 
 
 def _network(domain: str, options: Options) -> RosNetwork:
-    trust = options.get("qos", "reliable")
-    if trust not in get_args(Trust):
-        raise RecordingError(f"qos={trust}: take {' or '.join(get_args(Trust))}.")
+    trust: Trust = choice(options, "qos", get_args(Trust))  # type: ignore[assignment]
     at = int(number({"domain": domain}, "domain", 0, least=0, most=MOST_DOMAIN))
     depth = int(number(options, "depth", 1, least=1, most=1000))
-    return RosNetwork(at, trust, depth, options.get("frame", "base"))  # type: ignore[arg-type]
+    return RosNetwork(at, trust, depth, options.get("frame", "base"))
 
 
 def _ros_robot(place: str, options: Options) -> MakeRobot:
-    axes = options.get("wrench_axes", "base")
-    if axes not in ("base", "tool"):
-        raise RecordingError(f"wrench_axes={axes}: take base or tool.")
+    choice(options, "wrench_axes", ("base", "tool"))
     given = {key: options[key] for key in _ROS_ROBOT[:-1] if key in options}
     topics, network = RosTopics(**given), _network(place, options)  # type: ignore[arg-type]
     return lambda _rec, _settings: RosRobot(network, topics)

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers
 from onebend.errors import RecordingError
-from onebend.records import Array, ForceLog, IntArray
+from onebend.records import Array, ForceLog, IntArray, unit
 
 SHEAR_FACTOR = 5.0 / 6.0  # of a rectangle
 PATCH_OVER_TAG = 1.25  # patch length over the side of the tag's black square
@@ -148,17 +148,12 @@ class PushProfile:
         begin, end = self.contact
         part = smooth((time - begin) / self.rise) - smooth((time - end + self.fall) / self.fall)
         angle = self.angle(time)
-        return np.asarray(self.peak * part[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+        return np.asarray(self.peak * part[:, None] * unit(angle))
 
     def angle(self, time: Array) -> Array:
         """(N,) rad, the direction at `time` (N,) [s]; defined before and after contact too."""
         begin, end = self.contact
         return np.asarray(self.direction + self.turn * (np.clip((time - begin) / (end - begin), 0.0, 1.0) - 0.5))
-
-
-def turned(xy: Array, angle: float) -> Array:
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.asarray(xy @ np.array([[cos, sin], [-sin, cos]]))
 
 
 def smooth(part: Array) -> Array:

@@ -25,19 +25,19 @@ from onebend.beam.stiffness import Profile, Scaled, Uniform
 from onebend.beam.vibration import settle
 from onebend.errors import MechanicsError, RecordingError
 from onebend.lab import rendering, virtual
-from onebend.lab.bench import PushProfile, RealBench, log_of, rest_curvature, smooth, turned
+from onebend.lab.bench import PushProfile, RealBench, log_of, rest_curvature, smooth
 from onebend.lab.rod import RodMotion
 from onebend.progress import Progress, Silent, one_blas_thread, track
 from onebend.recording import bag_topics, plane, schema, tag_finder
 from onebend.recording.entries import FAMILIES, BeamEntry, ForceEntry, GravityEntry, MarkersEntry, Recording
 from onebend.recording.folder import FILE_NAME, FORMAT
-from onebend.records import Array, ForceLog, View
+from onebend.records import Array, ForceLog, View, left_of, rotated, unit
 from onebend.text_files import plain
 
 
 def in_log_axes(force: Array, rotation: float, acts_on: str) -> Array:
     """(N, 2) N in axes turned by `rotation` [rad] from the beam's; the reaction if it `acts_on` the "robot"."""
-    return turned(-force if acts_on == "robot" else force, -rotation)
+    return rotated(-force if acts_on == "robot" else force, -rotation)
 
 
 def write_log(path: Path, log: ForceLog) -> None:
@@ -202,7 +202,7 @@ def rectangle(left: float, right: float, top: float, bottom: float) -> Array:
 
 def placed(loops: Array, pose: Array) -> Array:
     """Polygons (..., corners, 2) [m] at the pose (3,) x, y [m], angle [rad]."""
-    return np.asarray(turned(loops, pose[2]) + pose[:2])
+    return rotated(loops, pose[2]) + pose[:2]
 
 
 SHADOW = np.array([0.0025, -0.003])  # m, offset of a shadow
@@ -291,7 +291,7 @@ def dimmed(colour: rendering.Colour, share: float) -> rendering.Colour:
 def strip(beam: Array, half_width: Array) -> Array:
     """Outline (2 S, 2) m, or (2 S, 3), of the beam (S, 4)."""
     xy, angle, height = beam[:, :2], beam[:, 2], beam[:, 3]
-    left = half_width[:, None] * np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
+    left = half_width[:, None] * left_of(unit(angle))
     outline = np.concatenate([xy - left, (xy + left)[::-1]])
     return rendering.lifted(outline, np.concatenate([height, height[::-1]]))
 
@@ -301,7 +301,7 @@ def tool_outline(cast: MovingScene, time: float, beam: Array, contact: float) ->
     waits aside before and after."""
     push, places = cast.push, np.linspace(0.0, 1.0, len(beam))
     angle = float(push.angle(np.array([time]))[0]) + cast.base_angle
-    along = np.array([np.cos(angle), np.sin(angle)])
+    along = unit(angle)
     *touch, turn = (np.interp(contact, places, beam[:, i]) for i in range(3))
     half = float(np.interp(contact, places, cast.half_width)) / max(abs(math.sin(angle - turn)), STEEPEST)
     begin, end = push.contact
@@ -352,19 +352,15 @@ def table(header: str, entry: Any) -> str:
 
 def as_toml(value: Any, key: schema.Key) -> str:
     """In the file's units."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
     if isinstance(value, Path):
         return json.dumps(value.name)
-    if isinstance(value, str):
-        return json.dumps(value)
     if isinstance(value, tuple):
         return "[" + ", ".join(as_toml(item, key) for item in value) + "]"
     if isinstance(value, float):
         written = math.degrees(value) if key.name.endswith("_deg") else value
         short = f"{written:.10g}"
         return short if math.isclose(float(short), written, rel_tol=1e-15) else repr(written)
-    return str(value)
+    return json.dumps(value)
 
 
 # MP4 files: H.264, yuv420p, one timestamp per frame.
@@ -426,7 +422,7 @@ def camera_motion(effects: RealBench, until: float, rng: np.random.Generator) ->
         frequency=rng.uniform(low, high, (WAVES, 2)),
         phase=rng.uniform(0.0, 2.0 * np.pi, (WAVES, 2)),
         amplitude=effects.shake * float(np.sqrt(2.0 / WAVES)),
-        rate=effects.drift / until * np.array([np.cos(turn), np.sin(turn)]),
+        rate=effects.drift / until * unit(turn),
     )
 
 
@@ -521,7 +517,7 @@ def tag_faces(filming: Filming, poses: Array, z: Array, slope: Array) -> Array:
 
 def in_room(pose: Array, base_angle: float) -> Array:
     """Poses (..., 3 or more) from the clamp's frame into the room."""
-    return np.concatenate([turned(pose[..., :2], base_angle), pose[..., 2:3] + base_angle, pose[..., 3:]], axis=-1)
+    return np.concatenate([rotated(pose[..., :2], base_angle), pose[..., 2:3] + base_angle, pose[..., 3:]], axis=-1)
 
 
 S = np.linspace(0.0, 1.0, 401)

@@ -66,15 +66,6 @@ SLOW = 0.1  # of its first frequency
 RELAXATION_TIME = Chance(1.0, 0.3, 30.0)  # s
 
 
-def only(*names: str, ranges: EffectRanges = LABORATORY) -> EffectRanges:
-    """Only the named effects, with certainty. Raises `RecordingError`: a name that is not in `EFFECTS`."""
-    unknown = [name for name in names if name not in EFFECTS]
-    if unknown:
-        raise RecordingError(f"there is no effect {unknown[0]!r}. Take of {', '.join(EFFECTS)}.")
-    chance = {name: replace(getattr(ranges, name), probability=float(name in names)) for name in EFFECTS}
-    return EffectRanges(**chance)
-
-
 def with_random_effects(
     bench: VirtualBench, rng: np.random.Generator, ranges: EffectRanges = LABORATORY, *, tag_size: float = 0.012
 ) -> VirtualBench:

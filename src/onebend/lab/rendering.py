@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from onebend.errors import RecordingError
 from onebend.recording.entries import CameraEntry
 from onebend.recording.plane import FACING, project
-from onebend.records import Array, View
+from onebend.records import Array, View, paired, rotated, unit
 
 # Coverage of pixels by polygons: exact along rows, sampled finely across them. Every edge adds, in the lines it
 # crosses, the area to its right; the sum along a row is the coverage. Polygons of one orientation that share an edge
@@ -220,7 +220,7 @@ def mat_lines(view: View, shape: tuple[int, int], spacing: float = 0.02, thick: 
 
 def spot(picture: Picture, centre: Array, radius: float, colour: Colour) -> None:
     turn = np.linspace(0.0, 2.0 * np.pi, 33)[:-1]
-    loop = centre + radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    loop = centre + radius * unit(turn)
     height, width = picture.y.shape
     box = box_around(loop, width, height)
     blend(picture, coverage(loop[None], box), yuv(colour), box.slices, box.halved.slices)
@@ -362,17 +362,14 @@ def placed_in_space(loops: Array, pose: Array) -> Array:
 
     Returns (..., corners, 3), or (..., corners, 2) in the plane.
     """
-    x, y, turn, height, roll, slope = pose.tolist()
-    cos, sin = np.cos(turn), np.sin(turn)
-    into_room = np.array([[cos, sin], [-sin, cos]])
+    turn, height, roll, slope = pose[2:].tolist()
     if height == 0.0 and roll == 0.0 and slope == 0.0:
-        return np.asarray(loops @ into_room + pose[:2])
+        return rotated(loops, turn) + pose[:2]
     u, v = loops[..., 0], loops[..., 1]
     up = v * np.sin(roll)
-    along = u * np.cos(slope) - up * np.sin(slope)
-    flat = np.stack([along, v * np.cos(roll)], axis=-1) @ into_room + np.array([x, y])
+    flat = paired(u * np.cos(slope) - up * np.sin(slope), v * np.cos(roll))
     z = height + u * np.sin(slope) + up * np.cos(slope)
-    return np.concatenate([flat, z[..., None]], axis=-1)
+    return np.concatenate([rotated(flat, turn) + pose[:2], z[..., None]], axis=-1)
 
 
 def lifted(xy: Array, z: Array) -> Array:
@@ -434,7 +431,6 @@ class StaticScene:
     view: View
     table: Picture
     light: Image  # (H, W)
-    half_light: Image
     scope: PixelBox  # around all that moves
     grain: Image  # (H + GRAIN, W + GRAIN) of unit sd
 
@@ -453,7 +449,7 @@ def stage(scene: Scene, view: View, size: tuple[int, int], still: Drawing, movin
     scope = box_around(project(view, moving), width, height, margin=4.0 * BLURRED)
     rng = np.random.default_rng([seed, 11])
     grain = rng.standard_normal((height + GRAIN, width + GRAIN), dtype=np.float32)
-    return StaticScene(scene, view, table, light, light[::2, ::2], scope, grain)
+    return StaticScene(scene, view, table, light, scope, grain)
 
 
 def seen_at(view: View, thing: ColourLayer | Shadow, drawing: Drawing) -> Array:
@@ -538,8 +534,8 @@ def exposed(staged: StaticScene, seen: Picture, strength: np.float32, rng: np.ra
     out = []
     for plane, light, low, span, share in (
         (seen.y, staged.light, BLACK, RANGE, 1.0),
-        (seen.u, staged.half_light, GREY, COLOUR_RANGE, COLOUR_NOISE),
-        (seen.v, staged.half_light, GREY, COLOUR_RANGE, COLOUR_NOISE),
+        (seen.u, staged.light[::2, ::2], GREY, COLOUR_RANGE, COLOUR_NOISE),
+        (seen.v, staged.light[::2, ::2], GREY, COLOUR_RANGE, COLOUR_NOISE),
     ):
         level = np.multiply(plane, light, out=plane)  # in place: fresh memory costs more than the arithmetic
         level *= strength

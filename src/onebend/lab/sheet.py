@@ -24,7 +24,7 @@ from matplotlib.path import Path as Outline
 from onebend.errors import MechanicsError
 from onebend.recording.entries import FAMILIES, Recording, TagEntry
 from onebend.recording.tag_finder import PrintedTag, printed_tag
-from onebend.records import Array
+from onebend.records import Array, rotated
 
 # Pages, drawn in mm from the upper left corner, as PDF or SVG.
 
@@ -197,8 +197,7 @@ def tag_polygons(tag: PrintedTag, size: float, centre: tuple[float, float], turn
     """(n, 4, 2) mm: black runs of a tag of `size` m about `centre` mm, turned counter-clockwise by `turn` rad."""
     cell, half = 1e3 * size / tag.border, 0.5 * len(tag.cells)
     flat = cell * (tag.ink - half)
-    cos, sin = math.cos(turn), math.sin(turn)
-    return np.asarray(flat @ np.array([[cos, -sin], [sin, cos]]) + np.array(centre))  # y runs down the page
+    return np.asarray(rotated(flat, -turn) + np.array(centre))  # y runs down the page
 
 
 def _put_tag(page: Figure, sheet: Sheet, tag: PrintedTag, centre: Place) -> None:

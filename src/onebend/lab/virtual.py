@@ -206,7 +206,7 @@ def tag_poses_on(bench: VirtualBench, beam: records.Array) -> records.Array:
 def from_base(pose: records.Array, base: tuple[float, float, float]) -> records.Array:
     """Poses (T, m, 3) relative to the base tag."""
     x, y, turn = base
-    return np.concatenate([benches.turned(pose[..., :2] - np.array([x, y]), -turn), pose[..., 2:] - turn], axis=-1)
+    return np.concatenate([records.rotated(pose[..., :2] - np.array([x, y]), -turn), pose[..., 2:] - turn], axis=-1)
 
 
 def declared_recording(bench: VirtualBench) -> Recording:

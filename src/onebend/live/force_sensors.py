@@ -157,7 +157,7 @@ class AtiForce(Device):
         self._place, self._web, self._scale = (address, port), web_port, scale
         self._socket: socket.socket | None = None
         self._asked = 0.0
-        self._number = -1  # of the newest record, without wraps
+        self._number = -1.0  # of the newest record, without wraps
 
     def open(self, clock: Clock) -> None:
         """Read the scale, and ask for records.
@@ -218,21 +218,15 @@ class AtiForce(Device):
         scale, self._heard = self._scale, self._clock.now()
         if records[-1][2] & SERIOUS:
             return self._fault(f"reports an error (status {records[-1][2]:#010x}): see its web page")
-        lost, numbers = 0, []
-        for record in records:
-            number = self._unwrapped(record[0])
-            lost += max(number - self._number - 1, 0) if self._number >= 0 else 0
-            self._number = max(self._number, number)
-            numbers.append(number)
+        numbers = np.array([record[0] for record in records], dtype=float)
+        before = numbers[0] - 1.0 if self._number < 0 else self._number
+        numbers = np.unwrap(np.append(before, numbers), period=WRAPS)
+        newest = np.maximum.accumulate(numbers)
+        lost, self._number = int(np.sum(np.maximum(numbers[1:] - newest[:-1] - 1.0, 0.0))), float(newest[-1])
         per = np.array([scale.per_newton] * 3 + [scale.per_newton_metre] * 3)
         counts = np.array([record[3:] for record in records], dtype=float)
-        stamp = np.array(numbers) / scale.rate if scale.rate > 0.0 else np.full(len(records), np.nan)
+        stamp = numbers[1:] / scale.rate if scale.rate > 0.0 else np.full(len(records), np.nan)
         return Samples(stamp, counts / per, self._heard, lost)
-
-    def _unwrapped(self, number: int) -> int:
-        if self._number < 0:
-            return number
-        return self._number + (number - self._number + WRAPS // 2) % WRAPS - WRAPS // 2
 
 
 def read_scale(address: str, port: int = WEB_PORT) -> AtiScale:

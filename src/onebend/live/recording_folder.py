@@ -112,25 +112,23 @@ def _named(rec: Recording, columns: tuple[str, ...]) -> list[int]:
     return [columns.index(name) for name in names]
 
 
-def state_start(folder: Path, error: float) -> None:
-    """Write into recording.toml that film and log are on one clock, to `error` [s]. All else stays as it is.
+def state_values(folder: Path, table: str, values: dict[str, str]) -> None:
+    """Write numbers of one table into recording.toml. All else stays as it is.
 
     Raises:
         RecordingError: the file has no line for it.
     """
     path = folder / FILE_NAME
     content = read_text(path, RecordingError, most=MOST_TOML)
-    values = {"start_s": "0.0", "start_uncertainty_s": f"{error:.4g}"}
-    changed = with_values(content, "video", values)
     try:
-        write_file(path, changed, overwrite=True)
+        write_file(path, with_values(content, table, values), overwrite=True)
     except ResultsError as wrong:
         raise RecordingError(str(wrong)) from None
-    said = read_toml(path, RecordingError)[1].get("video", {})
+    said = read_toml(path, RecordingError)[1].get(table, {})
     if not all(math.isclose(said.get(name, math.nan), float(value)) for name, value in values.items()):
         write_file(path, content, overwrite=True)
         lines = ", ".join(f"{name} = {value}" for name, value in values.items())
-        raise RecordingError(f"{path}: [video] cannot be edited as it is written. Write {lines} into it, as lines.")
+        raise RecordingError(f"{path}: [{table}] cannot be edited as it is written. Write {lines} into it, as lines.")
 
 
 def with_values(content: str, table: str, values: dict[str, str]) -> str:

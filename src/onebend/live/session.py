@@ -249,7 +249,8 @@ class _Session:
         height, width = first.picture.shape
         for path in self._places.earlier:
             path.unlink()
-        recording_folder.state_start(self._places.rec.folder, self._logs.error)
+        on_one_clock = {"start_s": "0.0", "start_uncertainty_s": f"{self._logs.error:.4g}"}
+        recording_folder.state_values(self._places.rec.folder, "video", on_one_clock)
         self._film = recording_folder.FilmWriter(self._places.film, (width, height), crf=self._settings.crf)
         self._logs.begin(self._places, first)
         self._follower.begin(self._logs.error)

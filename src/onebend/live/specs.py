@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -70,6 +70,14 @@ def number(options: Options, key: str, default: float, *, least: float = -math.i
     return value
 
 
+def choice(options: Options, key: str, names: Sequence[str]) -> str:
+    """One of these names, the first where a spec's options name none. Raises `RecordingError`: another one."""
+    value = options.get(key, names[0])
+    if value not in names:
+        raise RecordingError(f"{key}={value[:QUOTED]}: take {' or '.join(names)}.")
+    return value
+
+
 def made(spec: str, kinds: Mapping[str, SourceKind[Made]], option: str) -> Made:
     """What a spec names, of one of these kinds; `option` is named where that fails. Raises `RecordingError`."""
     head, *more = spec.split(",")
@@ -127,9 +135,7 @@ def _size(options: Options, default: str) -> tuple[int, int]:
 
 def _v4l2(place: str, options: Options) -> sources.CameraSource:
     width, height = _size(options, "1280x720")
-    packed = options.get("packed", "MJPG")
-    if packed not in cameras.PACKED:
-        raise RecordingError(f"packed={packed}: take one of {', '.join(cameras.PACKED)}.")
+    packed = choice(options, "packed", tuple(cameras.PACKED))
     fps = number(options, "fps", 30.0, least=0.1, most=MOST_FPS)
     asked = {"video_size": f"{width}x{height}", "framerate": f"{fps:g}", "input_format": cameras.PACKED[packed]}
     return cameras.AvCamera(place, "v4l2", {**asked, "fflags": cameras.NONBLOCK})

@@ -39,7 +39,7 @@ def clock_of(bag: Bag, topic: Topic) -> TopicClock:
         if stamp := stamp_of(message):
             return TopicClock("header", stamp)
     if received is None:
-        raise RecordingError(f"{bag.path}: no message of {topic.channel.topic} can be read.")
+        raise RecordingError(f"{bag.path}: no message of {topic.name} can be read.")
     return TopicClock("receipt", received)
 
 
@@ -73,10 +73,9 @@ def bag_topic(entry: VideoEntry | ForceEntry) -> tuple[Bag, Topic]:
     film = isinstance(entry, VideoEntry)
     bag = open_bag(entry.file)
     topic = topic_of(bag, entry.topic, "[video] topic" if film else "[force] topic")
-    if film and topic.channel.type not in (RAW, PACKED):
+    if film and topic.type not in (RAW, PACKED):
         raise RecordingError(
-            f"[video] topic: {topic.channel.topic} of {entry.file} is {topic.channel.type}, not images. Name one of "
-            f"{RAW} or {PACKED}."
+            f"[video] topic: {topic.name} of {entry.file} is {topic.type}, not images. Name one of {RAW} or {PACKED}."
         )
     return bag, topic
 
@@ -89,7 +88,7 @@ def bag_frames(video: VideoEntry) -> Iterator[tuple[float, Any]]:
         first = time if count == 0 else first
         if not time > last:
             what = "has no stamp" if math.isnan(time) else f"({time:.6f} s) does not come after the one before"
-            raise RecordingError(f"{video.file}: image {count} of {topic.channel.topic} {what}. Write the bag anew.")
+            raise RecordingError(f"{video.file}: image {count} of {topic.name} {what}. Write the bag anew.")
         last = time
         yield time - first, message
 
@@ -167,9 +166,9 @@ def bag_camera(video: VideoEntry, name: str) -> CameraInfo:
     """The calibration on topic `name` of the film's bag."""
     bag, _ = bag_topic(video)
     topic = topic_of(bag, name, "[camera] camera_info")
-    place = f"[camera] camera_info: {ascii_only(topic.channel.topic)} of {video.file}"
-    if topic.channel.type != INFO:
-        raise RecordingError(f"{place} is {ascii_only(topic.channel.type)}, no calibration. Name one of type {INFO}.")
+    place = f"[camera] camera_info: {ascii_only(topic.name)} of {video.file}"
+    if topic.type != INFO:
+        raise RecordingError(f"{place} is {ascii_only(topic.type)}, no calibration. Name one of type {INFO}.")
     every = (info_of(message, topic, place) for _, message in messages(bag, topic))
     first = next(every)
     for count, info in enumerate(every, start=1):
@@ -191,7 +190,7 @@ def info_of(message: Any, topic: Topic, place: str) -> CameraInfo:
         return read
 
     return CameraInfo(
-        topic.channel.topic,
+        topic.name,
         int(message.width),
         int(message.height),
         str(message.distortion_model),
@@ -227,37 +226,37 @@ def read_bag_force(entry: ForceEntry) -> ForceLog:
     frames: dict[str, None] = {}
     picks = [(AXES[axis[-1]], -1.0 if axis.startswith("-") else 1.0) for axis in entry.axes]
     for time, message in timed(bag, topic, clock):
-        force, frame = force_of(message, field, f"{entry.file}: {topic.channel.topic}")
+        force, frame = force_of(message, field, f"{entry.file}: {topic.name}")
         frames[frame] = None
         (first, sign), (second, other) = picks
         rows.append((time, sign * force[first], other * force[second]))
     named = [frame for frame in frames if frame]
     if len(named) > 1:
         raise RecordingError(
-            f"{entry.file}: the forces of {topic.channel.topic} are in several frames ({', '.join(named)}). Record one."
+            f"{entry.file}: the forces of {topic.name} are in several frames ({', '.join(named)}). Record one."
         )
     read = np.array(rows)
     order = np.argsort(read[:, 0], kind="stable")
     early = int(np.sum(np.diff(read[:, 0]) < 0))
     remarks = (*remark(early, len(read), "messages of the force log lie out of order and are sorted"),)
     remarks = (*remarks, *stamp_remarks(topic, clock), *frame_remarks(entry, field, named))
-    return whole_log(f"{entry.file}, {topic.channel.topic}", read[order], remarks)
+    return whole_log(f"{entry.file}, {topic.name}", read[order], remarks)
 
 
 def stamp_remarks(topic: Topic, clock: TopicClock) -> list[Remark]:
     """A warning where the times are those of receipt."""
     if clock.by == "header":
         return []
-    text = f"{topic.channel.topic} has no header stamps: the times at which it was received are used. Record header "
+    text = f"{topic.name} has no header stamps: the times at which it was received are used. Record header "
     return [Remark("warning", f"{text}stamps.", about="no stamps")]
 
 
 def default_field(topic: Topic, entry: ForceEntry) -> str:
     """Where the force stands in the types that are known."""
-    field = FIELDS.get(topic.channel.type)
+    field = FIELDS.get(topic.type)
     if field is None:
         raise RecordingError(
-            f"{entry.file}: {ascii_only(topic.channel.topic)} is {ascii_only(topic.channel.type)}; where "
+            f"{entry.file}: {ascii_only(topic.name)} is {ascii_only(topic.type)}; where "
             'its force stands is not known. Write field = "NAME" (or "NAME.NAME") in [force], or name a wrench topic.'
         )
     return field
@@ -349,7 +348,7 @@ def bag_contents(path: Path | str) -> BagContents:
 def row_of(bag: Bag, topic: Topic) -> TopicRow:
     """The topic's times, by its headers where they have stamps and their type is known."""
     try:
-        decode = decoder(bag.path, topic.channel)
+        decode = decoder(bag.path, topic)
     except RecordingError:
         decode = None
     received, stamps = [], []
@@ -367,15 +366,15 @@ def row_of(bag: Bag, topic: Topic) -> TopicRow:
     start, end = (float(time[i]) * 1e-9 if len(time) else np.nan for i in (0, -1))
     rate = 1 / spacing if spacing > 0 else np.nan
     by: Literal["header", "receipt"] = "header" if stamped else "receipt"
-    return TopicRow(topic.channel.topic, topic.channel.type, topic.count, rate, start, end, by, missing(since))
+    return TopicRow(topic.name, topic.type, topic.count, rate, start, end, by, missing(since))
 
 
 def guess(bag: Bag, what: Literal["force", "image"]) -> str:
     """The topic of a fitting type with the most messages, the better type first; "" where there is none."""
     fitting = [
-        (LIKELY[what].index(topic.channel.type), -topic.count, name)
+        (LIKELY[what].index(topic.type), -topic.count, name)
         for name, topic in bag.topics.items()
-        if topic.channel.type in LIKELY[what] and topic.count
+        if topic.type in LIKELY[what] and topic.count
     ]
     return min(fitting)[2] if fitting else ""
 

@@ -8,10 +8,9 @@ import re
 import shutil
 import sqlite3
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
@@ -30,14 +29,15 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # no message begins so: CDR begins with a zero
 
 
 @dataclass(frozen=True)
-class Channel:
-    """One topic as the file declares it."""
+class Topic:
+    """One topic of a bag, as the file that has it first declares it."""
 
-    topic: str
+    name: str
     type: str  # "geometry_msgs/msg/Wrench"
     encoding: str  # of the messages: "cdr" or "ros1"
     definition: str  # the message's definition as text; "" where the file has none
     idl: bool  # whether that is IDL, not MSG
+    count: int = 0  # messages
 
 
 def zstd() -> Any:
@@ -140,49 +140,49 @@ def check_types(types: dict[str, Any]) -> None:
 IDL_PART = "=" * 80 + "\n"
 
 
-def decoder(path: Path, channel: Channel) -> Callable[[bytes], Any]:
+def decoder(path: Path, topic: Topic) -> Callable[[bytes], Any]:
     """What turns messages' bytes into objects."""
-    if channel.encoding not in ("cdr", "ros1"):
+    if topic.encoding not in ("cdr", "ros1"):
         raise RecordingError(
-            f"{path}: {ascii_only(channel.topic)} is packed as {channel.encoding!r}; cdr and ros1 can be read."
+            f"{path}: {ascii_only(topic.name)} is packed as {topic.encoding!r}; cdr and ros1 can be read."
         )
     try:
-        check_type_name(channel.type)
-        store = types_of(channel)
-        store.get_msgdef(channel.type)
+        check_type_name(topic.type)
+        store = types_of(topic)
+        store.get_msgdef(topic.type)
     except HostileTypeError as wrong:
         raise RecordingError(
-            f"{path}: {ascii_only(channel.topic)} cannot be read: its definition says {ascii_only(str(wrong))}."
+            f"{path}: {ascii_only(topic.name)} cannot be read: its definition says {ascii_only(str(wrong))}."
         ) from None
     except Exception as wrong:  # the parser's own, or what a definition that makes no sense leads to
         raise RecordingError(
-            f"{path}: the type {channel.type} of {ascii_only(channel.topic)} is not known "
+            f"{path}: the type {topic.type} of {ascii_only(topic.name)} is not known "
             f"({quoted(str(wrong), 200)}). The bag does not say what it holds. Convert it to MCAP where ROS knows the "
             "type: `ros2 bag convert`."
         ) from None
-    if channel.encoding == "cdr":
-        return lambda data: store.deserialize_cdr(data, channel.type)
-    return lambda data: store.deserialize_ros1(data, channel.type)
+    if topic.encoding == "cdr":
+        return lambda data: store.deserialize_cdr(data, topic.type)
+    return lambda data: store.deserialize_ros1(data, topic.type)
 
 
-def types_of(channel: Channel) -> Typestore:
-    """The types that the channel needs: its own definition, else the standard ones."""
+def types_of(topic: Topic) -> Typestore:
+    """The types that the topic needs: its own definition, else the standard ones."""
     require(("rosbags",), "ros")
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
     types: Typesdict = {}
-    check_text(channel.definition)
-    if channel.definition and not channel.idl:
+    check_text(topic.definition)
+    if topic.definition and not topic.idl:
         store = get_typestore(Stores.EMPTY)
-        types.update(get_types_from_msg(channel.definition, channel.type))
-    elif channel.definition:
+        types.update(get_types_from_msg(topic.definition, topic.type))
+    elif topic.definition:
         store = get_typestore(Stores.EMPTY)
-        for part in channel.definition.split(IDL_PART):
+        for part in topic.definition.split(IDL_PART):
             text = part.partition("\n")[2] if part.startswith("IDL: ") else part
             if text.strip():
                 types.update(get_types_from_idl(text))
     else:
-        store = get_typestore(Stores.ROS1_NOETIC if channel.encoding == "ros1" else Stores.LATEST)
+        store = get_typestore(Stores.ROS1_NOETIC if topic.encoding == "ros1" else Stores.LATEST)
     check_types(types)
     store.max_sequence_length = MOST_NUMBERS
     store.register({name: ([], fields) for name, (_, fields) in types.items()})  # constants are not in messages
@@ -190,14 +190,6 @@ def types_of(channel: Channel) -> Typestore:
 
 
 ENDINGS = (".mcap", ".db3", ".bag", ".active")  # a recorder that was killed leaves .bag.active
-
-
-@dataclass(frozen=True)
-class Topic:
-    """One topic of a bag."""
-
-    channel: Channel
-    count: int  # messages
 
 
 @dataclass(frozen=True)
@@ -257,16 +249,15 @@ def open_bag(path: Path) -> Bag:
 def scanned(path: Path, files: tuple[Path, ...], state: tuple[tuple[int, int], ...]) -> Bag:
     """The bag as its files declare it; `state`: size and time of change of each file, for which this holds."""
     del state
-    channels: dict[str, Channel] = {}
-    counts: Counter[str] = Counter()
+    topics: dict[str, Topic] = {}
     for file in files:
         with opened(file) as reader:
             for one in reader.connections:
                 encoding = getattr(one.ext, "serialization_format", "ros1")
                 definition, idl = one.msgdef.data, one.msgdef.format.name == "IDL"
-                channels.setdefault(one.topic, Channel(one.topic, one.msgtype, encoding, definition, idl))
-                counts[one.topic] += one.msgcount
-    return Bag(path, files, {name: Topic(one, counts[name]) for name, one in channels.items()})
+                known = topics.get(one.topic) or Topic(one.topic, one.msgtype, encoding, definition, idl)
+                topics[one.topic] = replace(known, count=known.count + one.msgcount)
+    return Bag(path, files, topics)
 
 
 def topic_of(bag: Bag, name: str, where: str) -> Topic:
@@ -284,7 +275,7 @@ def topic_of(bag: Bag, name: str, where: str) -> Topic:
 def listed(bag: Bag) -> str:
     """The topics with types and counts, in words."""
     rows = [
-        ascii_only(f"{name[:QUOTED]} ({topic.channel.type[:QUOTED]}, {topic.count} messages)")
+        ascii_only(f"{name[:QUOTED]} ({topic.type[:QUOTED]}, {topic.count} messages)")
         for name, topic in sorted(bag.topics.items())[:NAMES]
     ]
     more = f"; and {len(bag.topics) - NAMES} more" if len(bag.topics) > NAMES else ""
@@ -293,7 +284,7 @@ def listed(bag: Bag) -> str:
 
 def raw_messages(bag: Bag, topic: Topic) -> Iterator[tuple[int, bytes]]:
     """When each message of the topic was received, ns, and its bytes, in the order of receipt."""
-    name = topic.channel.topic
+    name = topic.name
     if topic.count > MOST_ROWS:
         raise RecordingError(f"{bag.path}: {name} has more than {MOST_ROWS} messages. Cut the bag.")
     for part in bag.parts:
@@ -307,13 +298,13 @@ def raw_messages(bag: Bag, topic: Topic) -> Iterator[tuple[int, bytes]]:
 
 def messages(bag: Bag, topic: Topic) -> Iterator[tuple[int, Any]]:
     """When each message of the topic was received, ns, and the message as an object."""
-    decode = decoder(bag.path, topic.channel)
+    decode = decoder(bag.path, topic)
     for count, (received, data) in enumerate(raw_messages(bag, topic)):
         try:
             decoded = decode(data)
         except Exception as wrong:  # numpy, struct and the decoder's own, each in its way
             raise RecordingError(
-                f"{bag.path}: message {count} of {ascii_only(topic.channel.topic)} is no "
-                f"{ascii_only(topic.channel.type)} ({ascii_only(str(wrong))})."
+                f"{bag.path}: message {count} of {ascii_only(topic.name)} is no "
+                f"{ascii_only(topic.type)} ({ascii_only(str(wrong))})."
             ) from None
         yield received, decoded

@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from onebend.errors import ObservationError
 from onebend.recording.clock import ROUGHLY, reach_of
 from onebend.recording.entries import GravityEntry
 from onebend.recording.signals import LATEST
 from onebend.recording.tables import read_columns
-from onebend.records import Array, BoolArray, ClockOffset, Markers, Remark
+from onebend.records import Array, BoolArray, ClockOffset, Markers, Remark, left_of, rotated, unit
 
 MOUNTING_SD = math.radians(2.0)  # of the base tag against the beam, put on by hand
 BLOCKS = 5  # of the rest; the scatter of their means is part of its covariance
@@ -60,8 +61,8 @@ def beam_turn(rest: RestShape, placement_sd: float) -> float:
     known = np.isfinite(rest.xy).all(axis=1)
     turn = 0.0
     for _ in range(5):
-        across = np.array([-math.sin(turn), math.cos(turn)])
-        along = np.array([math.cos(turn), math.sin(turn)])
+        along = unit(turn)
+        across = left_of(along)
         variance = np.einsum("i,mij,j->m", across, rest.covariance[known, :2, :2], across) + placement_sd**2
         weight = 1 / np.maximum(variance, 1e-12)
         x, y = rest.xy[known] @ along, rest.xy[known] @ across
@@ -72,11 +73,10 @@ def beam_turn(rest: RestShape, placement_sd: float) -> float:
 
 def turned(markers: Markers, turn: float) -> Markers:
     """`markers` seen from a frame turned by `turn` [rad] counter-clockwise against the base tag's."""
-    cos, sin, view = math.cos(turn), math.sin(turn), markers.view
-    back = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    back, view = Rotation.from_euler("z", -turn).as_matrix(), markers.view
     return replace(
         markers,
-        xy=markers.xy @ back[:2, :2].T,
+        xy=rotated(markers.xy, -turn),
         angle=markers.angle - turn,
         covariance=back @ markers.covariance @ back.T,
         by_camera=None if markers.by_camera is None else back @ markers.by_camera,
@@ -178,7 +178,7 @@ def gravity_in_frame(entry: GravityEntry | None, log: BaseLog | None, markers: M
         return np.zeros((len(time), 2))
     base = np.interp(time, log.time, log.angle) if log is not None else entry.base_angle + markers.base_angle
     angle = entry.direction - base
-    return np.asarray(entry.magnitude * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    return np.asarray(entry.magnitude * unit(angle))
 
 
 def check_overlap(markers: Markers, log_time: Array, offset: float, what: str) -> None:

@@ -301,14 +301,12 @@ def _calibrated(cv2: Any, film: BoardFilm, board: Board, views: list[BoardView],
     progress.advance()
     # Times the median of the views' errors: such a view is left out.
     good = [v for v, e in zip(views, first.errors, strict=True) if e <= 3.0 * float(np.median(first.errors))]
-    fitted = _fit(cv2, film, board, good, k3=False)
-    sd = _spread_of_groups(cv2, film, board, good, fitted, k3=False, progress=progress)
-    richer = _fit(cv2, film, board, good, k3=True)
+    fitted, richer = (_fit(cv2, film, board, good, k3=one) for one in (False, True))
     progress.advance()
     # sd that k3 must differ from 0 by.
-    if abs(richer.values[8]) > 3.0 * richer.sd[8] and richer.error < 0.97 * fitted.error:
-        fitted = richer
-        sd = _spread_of_groups(cv2, film, board, good, fitted, k3=True, progress=Silent())
+    k3 = abs(richer.values[8]) > 3.0 * richer.sd[8] and richer.error < 0.97 * fitted.error
+    fitted = richer if k3 else fitted
+    sd = _spread_of_groups(cv2, film, board, good, fitted, k3=k3, progress=progress)
     pixel = np.concatenate([view.pixel for view in good])
     cell = ((pixel + 0.5) / (film.width, film.height) * _CELLS).astype(int)
     coverage = len(np.unique(np.clip(cell, 0, np.array(_CELLS) - 1), axis=0)) / (_CELLS[0] * _CELLS[1])

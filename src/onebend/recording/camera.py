@@ -11,7 +11,7 @@ import numpy as np
 from onebend.errors import ObservationError, RecordingError
 from onebend.recording import plane as planes
 from onebend.recording.entries import CameraEntry, Recording, TagEntry, TagsEntry
-from onebend.recording.signals import running_median
+from onebend.recording.signals import from_clamp, running_median
 from onebend.records import POINT_ID, Array, BoolArray, Detections, Markers, OutlineTrack, Remark, View, rotated
 
 END_CORRELATION = -0.5  # of the errors at the two ends of a straight edge
@@ -471,13 +471,11 @@ def with_checked_turns(markers: Markers, rec: Recording) -> Markers:
     order = np.argsort(markers.s, kind="stable")
     order = order[markers.s[order] > NEAREST]
     ids = [rec.tags.on_base[0].id, *markers.tag_id[order].tolist()]
-    places = np.concatenate([np.zeros((len(markers.time), 1, 2)), markers.xy[:, order]], axis=1)
-    s = np.concatenate([[0.0], markers.s[order]])
+    s, places, tag_angle = from_clamp(markers.s[order], markers.xy[:, order], markers.angle[:, order])
     complete = np.isfinite(places).all(axis=(1, 2))
     if not complete.any() or len(s) < 2 or np.any(np.diff(s) < NEAREST):
         return markers
-    tag_angle = np.concatenate([np.zeros((len(markers.time), 1)), markers.angle[:, order]], axis=1)[complete]
-    off = np.angle(np.exp(1j * (tag_angle - directions(places[complete]))))
+    off = np.angle(np.exp(1j * (tag_angle[complete] - directions(places[complete]))))
     # Between a tag and the beam there: bending does not make that in most frames.
     wrong = np.median(np.cos(off), axis=0) < np.cos(np.deg2rad(60.0))
     if not wrong.any():

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
 
 import numpy as np
-from scipy.interpolate import CubicSpline, PPoly
+from scipy.interpolate import CubicHermiteSpline, CubicSpline, PPoly
 
 from onebend.recording.force_noise import LoadChange, load_changes
 from onebend.recording.signals import LONG_GAP, MAD_TO_SD, bandwidth, bridged, from_clamp, runs, step
@@ -293,13 +293,8 @@ def along(xy: Array, angle: Array, s: Array, place: float) -> Array:
     chord = xy[:, i + 1] - xy[:, i]
     # sinc(x) = sin(pi x) / (pi x): arc over chord of a circle that turns by the two tags' difference.
     arc = np.linalg.norm(chord, axis=1) / np.sinc(np.clip(angle[:, i + 1] - angle[:, i], -np.pi, np.pi) / (2 * np.pi))
-    ends = [arc[:, None] * np.stack([np.cos(a), np.sin(a)], axis=1) for a in (angle[:, i], angle[:, i + 1])]
-    return np.asarray(
-        (2 * u**3 - 3 * u**2 + 1) * xy[:, i]
-        + (3 * u**2 - 2 * u**3) * xy[:, i + 1]
-        + (u**3 - 2 * u**2 + u) * ends[0]
-        + (u**3 - u**2) * ends[1]
-    )
+    two = slice(i, i + 2)
+    return np.asarray(CubicHermiteSpline((0.0, 1.0), xy[:, two], arc[:, None, None] * unit(angle[:, two]), axis=1)(u))
 
 
 def make_moments(seen: GaplessMarkers, spans: Spans) -> Moments | None:

@@ -18,7 +18,7 @@ from scipy.optimize import nnls
 from onebend.recording.clock_evidence import BinnedLog, Prior, mixed, moments_of
 from onebend.recording.clock_features import FEWEST, LOAD_DOUBT, STILL, Moments, unit_forces
 from onebend.recording.force_noise import TimeSpans, covariance, first_guess, likeliest_noise
-from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, ForceNoise
+from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, ForceNoise, left_of
 
 FREE_BIAS = 10.0  # of the largest force: prior sd of the log's bias
 DEGREES_OF_FREEDOM = 4.0  # of Student's t: some tags are read wrongly
@@ -150,7 +150,7 @@ class ForceLogModel:
         """(N, 2) N, the mean of the log."""
         k = len(self.compliance)
         force, _ = self.force_on_beam(rows, z)
-        turned = DIRECTION_SD * z[..., 2 * k + 1, None, None] * np.stack([-force[..., 1], force[..., 0]], axis=-1)
+        turned = DIRECTION_SD * z[..., 2 * k + 1, None, None] * left_of(force)
         return np.asarray(force + turned + FREE_BIAS * self.force * z[..., None, 2 * k + 2 : 2 * k + 4])
 
 

@@ -18,8 +18,8 @@ from onebend.errors import ObservationError
 from onebend.recording.entries import Recording
 from onebend.recording.plane import project, scale_of
 from onebend.recording.signals import MAD_TO_SD, nan_mean, nan_median, running_median
-from onebend.recording.video import picture_in, upright
-from onebend.records import Array, BoolArray, IntArray, View
+from onebend.recording.video import picture_in, samples, upright
+from onebend.records import Array, BoolArray, IntArray, View, left_of, unit
 
 
 @dataclass(frozen=True)
@@ -77,14 +77,9 @@ def planes_of(rec: Recording, index: int, raw: Any) -> Planes:
         return Planes(np.rint(luma).astype(np.uint8), np.rint(np.clip(chroma, 0.0, 255.0)).astype(np.uint8))
     known = raw.format.name in ("yuv420p", "yuvj420p", "yuv422p", "yuv444p")
     frame = raw if known and raw.width % 2 == 0 and raw.height % 2 == 0 else raw.reformat(format="yuv444p")
-    luma, blue, red = (_plane(one, raw.rotation) for one in frame.planes)
+    luma, blue, red = (np.ascontiguousarray(upright(samples(one), raw.rotation)) for one in frame.planes)
     turned = raw.rotation % 360 != 0  # then chroma's samples stand on another side: between is nearest to all
     return Planes(luma, np.stack([blue, red]), left=not turned and not raw.format.name.startswith("yuvj"))
-
-
-def _plane(plane: Any, rotation: int) -> NDArray[np.uint8]:
-    rows = np.frombuffer(memoryview(plane), np.uint8).reshape(-1, plane.line_size)[: plane.height, : plane.width]
-    return np.ascontiguousarray(upright(rows, rotation))
 
 
 STATES = 12  # Legendre polynomials of the curve's angle
@@ -102,7 +97,7 @@ class Curve:
     @cached_property
     def normal(self) -> Array:
         """(M, 2) to its left."""
-        return np.stack([-np.sin(self.angle), np.cos(self.angle)], axis=1)
+        return left_of(unit(self.angle))
 
 
 @dataclass(frozen=True)
@@ -135,7 +130,7 @@ class Stations:
     def curve(self, state: Array) -> Curve:
         """The curve with these numbers (1 + K,)."""
         angle = self.functions @ state[1:]
-        tangent = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        tangent = unit(angle)
         return Curve(self.along(tangent) + np.array([0.0, state[0]]), angle)
 
     def across(self, curve: Curve) -> Array:

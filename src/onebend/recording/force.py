@@ -190,7 +190,7 @@ def clean_force(
     force = log.force @ to_beam(rotation)
     if acts_on == "robot":
         force = -force
-    force[bad] = np.stack([np.interp(log.time[bad], log.time[~bad], column[~bad]) for column in force.T], axis=1)
+    force = bridged(log.time, np.where(bad[:, None], np.nan, force))
     smooth = low_pass(log.time, force, cutoff, longest_gap=gap_limit(log.time, cutoff))
     zero = zero_of(log.time, force, rests, noise)
     clean = smooth - zero.at(log.time)
@@ -393,8 +393,8 @@ def push_place(rec: Recording, log: ForceLog) -> float | None:
 def without_lag(log: ForceLog, tau: float, cutoff: float) -> ForceLog:
     """The log without its sensor's lag `tau` [s]: `F + tau F'`, low-passed at `cutoff` [Hz] against noise."""
     bad = outliers(log.force, spacing=step(log.time))
-    known = [np.interp(log.time, log.time[~bad], column[~bad]) for column in log.force.T]
-    smooth = low_pass(log.time, np.stack(known, axis=1), cutoff, longest_gap=max(0.1, 3.0 * step(log.time)))
+    known = bridged(log.time, np.where(bad[:, None], np.nan, log.force))
+    smooth = low_pass(log.time, known, cutoff, longest_gap=max(0.1, 3.0 * step(log.time)))
     return replace(log, force=smooth + tau * np.gradient(smooth, log.time, axis=0))
 
 

@@ -12,35 +12,28 @@ from onebend.recording.beam_frame import RestShape
 from onebend.recording.entries import Recording
 from onebend.recording.force import to_beam
 from onebend.recording.signals import from_clamp
-from onebend.records import Array, BoolArray, Markers, Remark
+from onebend.records import Array, BoolArray, Markers, Remark, left_of
 
 # Flipped signs and swapped axes are the commonest mistakes. The moment of the force about a place turns a clamped
 # passive beam there in the sense of the moment, and a larger moment turns it more. A log that contradicts this has
 # another sign or other axes than recording.toml says. Nothing is corrected: the experimenter must say which it is.
 
-READINGS: dict[str, Array] = {
-    "as it is": np.array([[1.0, 0.0], [0.0, 1.0]]),
-    "opposite": np.array([[-1.0, 0.0], [0.0, -1.0]]),
-    "x and y swapped": np.array([[0.0, 1.0], [1.0, 0.0]]),
-    "x and y swapped and both of opposite sign": np.array([[0.0, -1.0], [-1.0, 0.0]]),
-    "x of opposite sign": np.array([[-1.0, 0.0], [0.0, 1.0]]),
-    "y of opposite sign": np.array([[1.0, 0.0], [0.0, -1.0]]),
-    "turned by +90 deg": np.array([[0.0, -1.0], [1.0, 0.0]]),
-    "turned by -90 deg": np.array([[0.0, 1.0], [-1.0, 0.0]]),
-}
 _OTHER = "give acts_on the other value, beam or robot"
 _EXCHANGE = "exchange the two forces in {key}"
 _NEGATE = "give the {axis} force the opposite sign, or exchange both in {{key}} and set rotation_deg to {{fits:.0f}}"
 _TURN = "correct rotation_deg (about {fits:.0f} would fit)"
-_CORRECTION: dict[str, tuple[float, str]] = {  # what then has to be added to rotation_deg, in rad, and what to do
-    "opposite": (0.0, _OTHER),
-    "x and y swapped": (0.0, _EXCHANGE),
-    "x and y swapped and both of opposite sign": (0.0, f"{_EXCHANGE}, and {_OTHER}"),
-    "x of opposite sign": (math.pi / 2.0, _NEGATE.format(axis="x")),
-    "y of opposite sign": (-math.pi / 2.0, _NEGATE.format(axis="y")),
-    "turned by +90 deg": (math.pi / 2.0, _TURN),
-    "turned by -90 deg": (-math.pi / 2.0, _TURN),
+# Each reading's axes, what then has to be added to rotation_deg [rad], and what to do.
+_READINGS: dict[str, tuple[list[list[float]], float, str]] = {
+    "as it is": ([[1.0, 0.0], [0.0, 1.0]], 0.0, ""),
+    "opposite": ([[-1.0, 0.0], [0.0, -1.0]], 0.0, _OTHER),
+    "x and y swapped": ([[0.0, 1.0], [1.0, 0.0]], 0.0, _EXCHANGE),
+    "x and y swapped and both of opposite sign": ([[0.0, -1.0], [-1.0, 0.0]], 0.0, f"{_EXCHANGE}, and {_OTHER}"),
+    "x of opposite sign": ([[-1.0, 0.0], [0.0, 1.0]], math.pi / 2.0, _NEGATE.format(axis="x")),
+    "y of opposite sign": ([[1.0, 0.0], [0.0, -1.0]], -math.pi / 2.0, _NEGATE.format(axis="y")),
+    "turned by +90 deg": ([[0.0, -1.0], [1.0, 0.0]], math.pi / 2.0, _TURN),
+    "turned by -90 deg": ([[0.0, 1.0], [-1.0, 0.0]], -math.pi / 2.0, _TURN),
 }
+READINGS: dict[str, Array] = {name: np.array(axes) for name, (axes, _, _) in _READINGS.items()}
 TINY = 1e-300  # of a force that is zero throughout
 CERTAIN = 0.5  # unexplained share of the moments above which the log as it is contradicts the film
 CLEARLY = 0.003  # by which it must leave less: a right log whose axes are off by 5 deg leaves 0.0003 more
@@ -138,7 +131,7 @@ def _later(force: Array, time: Array, shift: float) -> Array:
 def _unexplained(axes: Array, force: Array, turns: Array, levers: Array) -> Array:
     """(A,) share of the moments' squares that is left when each span has one stiffness, the force being F @ axes
     (A, 2, 2): the least of those of the forces F (D, T, 2)."""
-    across = np.stack([-levers[..., 1], levers[..., 0]], axis=-1)  # (T, k, 2): moment = across . force
+    across = left_of(levers)  # (T, k, 2): moment = across . force
     one = np.einsum("dti,tkj->dktij", force, across).reshape(len(force), turns.shape[1], len(turns), 4)
     squares = np.swapaxes(one, 2, 3) @ one  # (D, k, 4, 4)
     with_turn = np.einsum("dktn,tk->dkn", one, turns)
@@ -152,7 +145,7 @@ def _unexplained(axes: Array, force: Array, turns: Array, levers: Array) -> Arra
 def axes_words(reading: Reading, rotation: float, *, key: str = "columns") -> str:
     """How the log's axes look, and the line of [force] to correct, of which `key` names its axes; `rotation` [rad]."""
     if reading.better or reading.rotated:
-        turn, line = _CORRECTION[reading.better] if reading.better else (reading.turn, _TURN)
+        turn, line = _READINGS[reading.better][1:] if reading.better else (reading.turn, _TURN)
         fits = math.degrees(math.remainder(rotation + turn, 2.0 * math.pi))
         how = reading.better or f"turned by {math.degrees(reading.turn):.0f} deg"
         how = "both axes of opposite sign" if how == "opposite" else how

@@ -21,7 +21,7 @@ from scipy.ndimage import maximum_filter1d
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, track
 from onebend.recording import body_end, camera, entries, flanks, plane, video
-from onebend.recording.signals import MAD_TO_SD, correlation_time, jumps, nan_mean, nan_median, running_median
+from onebend.recording.signals import MAD_TO_SD, bridged, correlation_time, jumps, nan_mean, nan_median, running_median
 from onebend.recording.tags import in_order
 from onebend.records import END_ID, Array, BoolArray, IntArray, Markers, OutlineTrack, Remark, View, left_of, unit
 
@@ -288,9 +288,7 @@ def with_tags(
     away, half = np.stack(found), 0.5 * place.sum(axis=0) * np.median(seen.sample, axis=0)
     if np.isfinite(away[:, :, ~hidden]).mean() < LEAST_SEEN:
         raise ObservationError(_NO_EDGES, about="outline")
-    known = np.flatnonzero(np.isfinite(seen.state[:, 0]))
-    every = np.stack([np.interp(np.arange(len(seen.state)), known, one[known]) for one in seen.state.T], axis=1)
-    return OutlineSearch(every, away), half
+    return OutlineSearch(bridged(np.arange(len(away), dtype=float), seen.state), away), half
 
 
 # The centreline: the width is the same in all pictures; flanks that contradict it, or their neighbours, are left out.
@@ -370,8 +368,7 @@ def outline_track(
     place = body_place(rec, view)
     shift = corners.mean(axis=2) - nan_median(corners.mean(axis=2))
     shift = nan_mean(np.moveaxis(shift, 1, 0))
-    known = np.isfinite(shift[:, 0])
-    shift = np.stack([np.interp(np.arange(len(shift)), np.flatnonzero(known), one[known]) for one in shift.T], axis=1)
+    shift = bridged(np.arange(len(shift), dtype=float), shift)
     looked = np.unique(np.linspace(0, len(shift) - 1, body_end.PICTURES).astype(int))
     at_end: dict[int, flanks.Sight] = {}
 

@@ -434,8 +434,7 @@ def caught(
 
 def _nearest_run(like: BoolArray, out: Array) -> float:
     """Middle of the run of similar places (J,) that is nearest to 0 among these `out` (J,); NaN where there is none."""
-    steps = np.flatnonzero(np.diff(np.concatenate([[False], like, [False]]).astype(int)))
-    first, last = out[steps[::2]], out[steps[1::2] - 1]
+    first, last = out[signals.runs(like) - [0, 1]].T
     if not len(first):
         return math.nan
     nearest = int(np.argmin(np.maximum(first, 0.0) + np.maximum(-last, 0.0)))

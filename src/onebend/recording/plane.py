@@ -82,8 +82,7 @@ def scale_of(view: View, length: float) -> float:
 
 def view_of(view: View, origin: Array, angle: float) -> View:
     """The same view, of a frame of the plane with its origin at `origin` (2,) [m] and turned by `angle`."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    turn = Rotation.from_euler("z", angle).as_matrix()
     return replace(view, rotation=view.rotation @ turn, translation=view.rotation[:, :2] @ origin + view.translation)
 
 

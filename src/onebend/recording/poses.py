@@ -390,16 +390,15 @@ def _with_curves(
     sd = stated_sd(table, drawn, pose, len(loads.names), entry.sd)
     known = bool(np.isfinite(sd[np.unique(pose[drawn])]).all())
     variance = np.where(np.isfinite(sd), sd, GUESSED_SD * rec.beam.length)[:, None, None, None] ** 2
-    return PosePoints(
+    return replace(
+        points,
         tag_id=np.append(points.tag_id, POINT_ID + np.arange(POINTS)),
         s=np.append(points.s, PLACES),
         xy=np.concatenate([points.xy, curve.xy], axis=1),
         angle=np.concatenate([points.angle, curve.angle], axis=1),
         covariance=np.concatenate([points.covariance, variance * np.ones((1, POINTS, 1, 1)) * np.eye(3)], axis=1),
         sd_known=points.sd_known and known,
-        clamp_sd=points.clamp_sd,
         readings=replace(points.readings, error_length=entry.error_length or ERROR_LENGTH * rec.beam.length),
-        remarks=points.remarks,
         traced=np.arange(len(points.s) + POINTS) >= len(points.s),
     )
 

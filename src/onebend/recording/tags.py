@@ -21,7 +21,6 @@ from onebend.recording.signals import copies_in_motion, runs
 from onebend.recording.video import (
     MOST_PIXELS,
     FilmFrame,
-    Keep,
     Picture,
     frame_count,
     pictures_at,
@@ -287,12 +286,11 @@ def detect_tags(
     *,
     threads: int | None = None,
     progress: Progress = Silent(),
-    keep: Keep | None = None,
 ) -> Detections:
     """Find every tag of `tags` in the frames of `video`: in as many as follow their motion, `LEAST_RATE` at least.
 
     A block of frames is followed while the next one is read; the result does not depend on `threads` (default: one per
-    core). `keep`: see `read_frames`.
+    core).
 
     Raises:
         RecordingError: the video cannot be read to its end.
@@ -325,7 +323,7 @@ def detect_tags(
         return blocks[-1]
 
     with ThreadPoolExecutor(threads) as pool, ThreadPoolExecutor(1) as in_turn:
-        frames = track(progress, "Finding the tags", read_frames(video, keep), frame_count(video))
+        frames = track(progress, "Finding the tags", read_frames(video), frame_count(video))
         for _ in in_order(in_turn, follow_tags, in_blocks(frames, BLOCK), ahead=1):
             pass
     return summary(video, tags, tag_id, blocks)

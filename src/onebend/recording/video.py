@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +21,6 @@ from onebend.recording.tables import read_columns
 from onebend.records import Array, IntArray, Remark
 
 Picture = NDArray[np.uint8]
-Keep = Callable[[VideoEntry, int, av.VideoFrame], None]
 
 LUMA_FIRST = ("yuv4", "yuvj4", "nv12", "nv21", "nv16", "gray")  # pixel formats whose first plane is luma
 MOST_PIXELS = 2**26  # of a picture
@@ -41,8 +40,8 @@ class FilmFrame:
     colour: Any = None  # the same as `av.VideoFrame`; None of bags, and of a camera that was turned
 
 
-def read_frames(video: VideoEntry, keep: Keep | None = None) -> Iterator[FilmFrame]:
-    """Every frame in order, one at a time; `keep` is shown every frame of a video file as it passes.
+def read_frames(video: VideoEntry) -> Iterator[FilmFrame]:
+    """Every frame in order, one at a time.
 
     The times are the presentation times of the container, or those of the CSV file that `recording.toml` names, or in a
     bag the stamps of its images, taken as the middle of the exposure.
@@ -51,8 +50,6 @@ def read_frames(video: VideoEntry, keep: Keep | None = None) -> Iterator[FilmFra
         RecordingError: not a video, damaged (with the last good frame), no frame, frame times missing or falling.
     """
     for index, time, raw in timed(video):
-        if keep is not None and not video.topic:
-            keep(video, index, raw)
         colour = None if video.topic or raw.rotation % 360 else raw
         yield FilmFrame(index, time, picture_in(video, index, raw), colour)
 
@@ -238,14 +235,17 @@ def luma_of(frame: av.VideoFrame) -> Picture:
     bits = layout.components[0].bits
     if not layout.name.startswith(LUMA_FIRST):
         return upright(frame.to_ndarray(format="gray").astype(np.uint8, copy=False), frame.rotation)
-    plane = frame.planes[0]
     if bits == 8:
-        rows = np.frombuffer(memoryview(plane), np.uint8).reshape(-1, plane.line_size)
-        rows.flags.writeable = False  # the decoder builds later frames on it
-        return upright(rows[: frame.height, : frame.width], frame.rotation)
-    wide = np.dtype(">u2" if layout.is_big_endian else "<u2")
-    deep = np.frombuffer(memoryview(plane), wide).reshape(-1, plane.line_size // 2)[: frame.height, : frame.width]
+        return upright(samples(frame.planes[0]), frame.rotation)
+    deep = samples(frame.planes[0], ">u2" if layout.is_big_endian else "<u2")
     return upright((deep >> (bits - 8)).astype(np.uint8), frame.rotation)
+
+
+def samples(plane: Any, kind: str = "u1") -> NDArray[Any]:
+    """A plane of a frame, (H, W) of `kind`."""
+    rows = np.frombuffer(memoryview(plane), kind).reshape(plane.height, -1)
+    rows.flags.writeable = False  # the decoder builds later frames on it
+    return rows[:, : plane.width]
 
 
 def upright(picture: Picture, rotation: int) -> Picture:

@@ -23,7 +23,6 @@ from onebend.progress import Progress, Silent
 from onebend.recording.bags import files_of
 from onebend.recording.entries import TagsEntry, VideoEntry
 from onebend.recording.tags import detect_tags
-from onebend.recording.video import Keep
 from onebend.records import Detections, Remark
 from onebend.results.provenance import checksum_of, inputs_of
 
@@ -37,27 +36,26 @@ class DetectionCache:
 
     folder: KeptFolder | None
     version: str  # of onebend
-    keep: Keep | None = None  # sees the frames of a searched film
 
     def detect(
         self, video: VideoEntry, tags: TagsEntry, *, threads: int | None = None, progress: Progress = Silent()
     ) -> Detections:
         """As `detect_tags`, with the cache."""
         if self.folder is None:
-            return detect_tags(video, tags, threads=threads, progress=progress, keep=self.keep)
+            return detect_tags(video, tags, threads=threads, progress=progress)
         inputs = inputs_of(path for _, path in film_files(video))
         name = f"tags-{key_of(video, tags, self.version)}"
         found = unpacked(self.folder.load(name), [tag.id for tag in (*tags.on_base, *tags.on_beam)])
         if found is None:
-            found = detect_tags(video, tags, threads=threads, progress=progress, keep=self.keep)
+            found = detect_tags(video, tags, threads=threads, progress=progress)
             if all(one.is_still_there() for one in inputs):  # else the key is wrong
                 self.folder.save(name, packed(found))
         return found
 
 
-def detection_cache(keep: Keep | None = None) -> DetectionCache:
+def detection_cache() -> DetectionCache:
     """The user's cache."""
-    return DetectionCache(users_folder(), version("onebend"), keep)
+    return DetectionCache(users_folder(), version("onebend"))
 
 
 def key_of(video: VideoEntry, tags: TagsEntry, version: str) -> str:

@@ -20,7 +20,6 @@ from onebend.lab.random_bench import (
     FilmRequest,
     design_with_effects,
     filming_of,
-    only,
     random_bench,
     with_random_effects,
 )
@@ -35,6 +34,7 @@ from onebend.lab.virtual import (
 from onebend.learning.instruments import setup_of
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
+from tests.lab.effects.chosen import only
 from tests.lab.from_truth import observe_from_truth
 
 pytestmark = pytest.mark.usefixtures("no_other_places")
@@ -128,8 +128,6 @@ def test_one_effect_alone_is_alone() -> None:
     for name in OF_THE_PICTURE:
         assert drawn(7, name).effects != drawn(7, "inertia").effects  # which does nothing: the mass is not known
         assert not drawn(7, name).effects.moves_otherwise
-    with pytest.raises(RecordingError, match="no effect"):
-        only("magic")
 
 
 @pytest.mark.slow

@@ -120,7 +120,7 @@ def test_a_camera_that_refuses_says_what_to_do(kernel: Callable[..., Any], camer
 def test_the_spec_is_checked() -> None:
     for spec, says in (
         ("size=big", "size=1280x720"),
-        ("packed=H264", "take one of MJPG"),
+        ("packed=H264", "take MJPG or YUYV"),
         ("fps=0", "number from 0.1"),
         ("exposure_ms=5", "v4l2 has no key exposure_ms"),
     ):

@@ -17,7 +17,7 @@ from PIL import Image
 from onebend.learning.verdict import explained
 from onebend.recording.entries import VideoEntry
 from onebend.recording.plane import project
-from onebend.recording.video import KeptFrames, pictures_at, read_frames
+from onebend.recording.video import KeptFrames, pictures_at, timed
 from onebend.records import Observations
 from onebend.report import figures as drawing, pictures as film
 from onebend.report.page import page
@@ -66,8 +66,8 @@ def jpeg_of(frame: dict[str, Any]) -> bytes:
 def test_frames_that_were_kept_make_the_same_strip(filmed: Observations) -> None:
     assert filmed.source.video is not None
     kept, entry = KeptFrames(), VideoEntry(file=filmed.source.video)
-    for _ in read_frames(entry, kept.keep):
-        pass
+    for index, _, raw in timed(entry):
+        kept.keep(entry, index, raw)
     sought, passed = (film_strip(filmed, FIT, BEAM, UNCERTAIN, one) for one in (None, kept))
     assert sought is not None
     assert passed is not None
