@@ -78,6 +78,7 @@ def test_learn_ends_with_the_same(victim: Victim, film: Path, case: Case) -> Non
     withstood(outcome, case, seconds=400.0)
 
 
+@pytest.mark.slow
 def test_a_tool_that_is_elsewhere_is_warned_of(victim: Victim, film: Path) -> None:
     ELSEWHERE.harm(film)
     outcome = victim.attack(["check", "rec"], film.parent)

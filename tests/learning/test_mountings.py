@@ -40,6 +40,7 @@ def test_own_levels_are_smooth_functions_of_no_correlation_over_the_beam() -> No
     np.testing.assert_allclose(basis.T @ basis / len(s), np.diag([1.0, 1.0 / 3.0, 1.0 / 5.0]), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_two_recordings_that_disagree_widen_the_band_to_hold_what_lies_between() -> None:
     apart, alike = learned(0.88, 1.14), learned(1.0, 1.0)
     blind = learned(0.88, 1.14, settings=FitSettings(functions=9, allowances=frozenset()))

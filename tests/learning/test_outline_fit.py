@@ -186,6 +186,7 @@ def test_without_its_outline_a_recording_shows_no_width() -> None:
     assert read_alone(replace(traced(), width=width)).width is width
 
 
+@pytest.mark.slow
 def test_an_outline_that_spoils_the_fit_is_left_out_of_it() -> None:
     both, few = beside_tags(), replace(IDEAL, functions=10, most_frames=20, first_frames=10)
     assert both.traced is not None

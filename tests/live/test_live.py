@@ -240,6 +240,7 @@ at_s = 1.0
         learn(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_process_beside_finds_what_this_one_does_and_may_end() -> None:
     seen, settings = _half(), (HERE.observing, HERE.learning)
     beside = ReviewerBeside(*settings)

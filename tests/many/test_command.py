@@ -72,6 +72,7 @@ def test_what_cannot_be_met_is_said(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["stems"]
 
 
+@pytest.mark.slow
 def test_a_cluster_learns_as_one_machine_does(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     stem(tmp_path / "stems" / "one", seed=1)

@@ -103,6 +103,7 @@ def test_forces_of_opposite_sign_are_named() -> None:
     assert not any("force looks" in r.text or r.doubt for r in plain().source.remarks)
 
 
+@pytest.mark.slow
 def test_a_film_at_a_wrong_rate_is_told_to_look_at_it() -> None:
     slow = replace(PUSHED.markers(), time=3.0 * PUSHED.markers().time)
     with pytest.raises(ObservationError, match=r"frame rate is wrong \(by it the film lasts"):

@@ -126,6 +126,7 @@ def test_drag_the_tip_read_the_force_reload_and_go_on(page: Page) -> None:
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
 
 
+@pytest.mark.slow
 def test_the_first_visit_opens_what_there_is_to_do(
     browser: Browser, address: str, folder: Path, tmp_path: Path
 ) -> None:

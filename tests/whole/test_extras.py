@@ -64,6 +64,7 @@ def test_a_command_names_the_extra_that_it_lacks(extra: str, arguments: tuple[st
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_what_needs_no_extra_works_without_them(tmp_path: Path) -> None:
     fit = made_up.posterior()
     model, goals = tmp_path / "model.json", tmp_path / "goals.csv"

@@ -56,6 +56,7 @@ def test_help_lists_the_commands_that_are_there(core: Path) -> None:
     assert not any(f"│ {name} " in text for name in set(all_commands()) - set(own))
 
 
+@pytest.mark.slow
 def test_every_module_of_the_core_loads(core: Path) -> None:
     code = (
         "import pkgutil, importlib, onebend\n"

@@ -97,6 +97,7 @@ def test_a_sensor_without_either_costs_next_to_nothing() -> None:
     np.testing.assert_allclose(found.stiffness.log_at(S)[1], without.stiffness.log_at(S)[1], rtol=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensor", ["slow", "loops"])
 def test_what_the_sensor_does_in_motion_leaves_the_set_up_known(sensor: str) -> None:
     found = fitted(sensor)

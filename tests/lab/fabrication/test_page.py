@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_other_places")
 def test_the_pages_example_runs() -> None:
     page = (Path(__file__).parents[3] / "docs" / "lab.md").read_text(encoding="utf-8")

@@ -100,6 +100,7 @@ def test_another_clock_than_this_machines_is_followed(kernel: Callable[..., Any]
     assert not kernel("/dev/video0", 2, OTHER=1000)["host"]
 
 
+@pytest.mark.slow
 def test_a_pulled_cable_and_a_silent_camera_end_it(kernel: Callable[..., Any]) -> None:
     assert "the camera /dev/video0 is gone (No such device" in kernel("/dev/video0", 99, GONE=6)["end"]
     assert kernel("/dev/video0", 99, SILENT=6)["end"] == "the camera /dev/video0 sends no pictures any more"

@@ -7,6 +7,7 @@ import html as markup
 import io
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from onebend.beam.model import Beam
+from onebend.beam.stiffness import UncertainStiffness
+from onebend.learning.outcome import Explained
 from onebend.learning.verdict import explained
 from onebend.recording.entries import VideoEntry
 from onebend.recording.plane import project
@@ -27,8 +31,12 @@ from tests.made_up import with_source
 from tests.recording.test_video import write_video
 from tests.report.page.browser import after_script
 
-BEAM, UNCERTAIN = made_up.posterior().beam, made_up.posterior().stiffness
-FIT = explained(made_up.posterior())[0]
+
+@cache
+def known() -> tuple[Explained, Beam, UncertainStiffness]:
+    """What is drawn: a fit, its beam and its band."""
+    found = made_up.posterior()
+    return explained(found)[0], found.beam, found.stiffness
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +76,7 @@ def test_frames_that_were_kept_make_the_same_strip(filmed: Observations) -> None
     kept, entry = KeptFrames(), VideoEntry(file=filmed.source.video)
     for index, _, raw in timed(entry):
         kept.keep(entry, index, raw)
-    sought, passed = (film_strip(filmed, FIT, BEAM, UNCERTAIN, one) for one in (None, kept))
+    sought, passed = (film_strip(filmed, *known(), one) for one in (None, kept))
     assert sought is not None
     assert passed is not None
     assert [one["picture"] for one in passed["frames"]] == [one["picture"] for one in sought["frames"]]
@@ -85,7 +93,7 @@ def test_the_frames_shown_are_spread_and_likely_to_be_kept() -> None:
 
 
 def test_what_is_drawn_stands_where_the_small_picture_shows_it(filmed: Observations) -> None:
-    strip = film_strip(filmed, FIT, BEAM, UNCERTAIN)
+    strip = film_strip(filmed, *known())
     assert strip is not None
     assert strip["width"] <= WIDEST
     assert 16 <= len(strip["frames"]) <= MOST_FRAMES
@@ -106,35 +114,36 @@ def test_what_is_drawn_stands_where_the_small_picture_shows_it(filmed: Observati
 
 @pytest.mark.slow
 def test_the_frames_stay_below_their_limit(filmed: Observations, monkeypatch: pytest.MonkeyPatch) -> None:
-    fine = film_strip(filmed, FIT, BEAM, UNCERTAIN)
+    fine = film_strip(filmed, *known())
     assert fine is not None
     size = sum(len(jpeg_of(one)) for one in fine["frames"])
     assert size <= film.LARGEST
     monkeypatch.setattr(film, "LARGEST", size // 2)
-    small = film_strip(filmed, FIT, BEAM, UNCERTAIN)
+    small = film_strip(filmed, *known())
     assert small is not None
     assert sum(len(jpeg_of(one)) for one in small["frames"]) <= size // 2
 
 
 def test_the_band_of_the_shape_is_what_k_does_to_it(filmed: Observations) -> None:
     """All of k 5 % stiffer or softer (sd): the band's edge is where a beam softer by 1.96 of that stands."""
-    chosen = np.array([len(FIT.comparison.frame) // 2])
-    band = shape_band(BEAM, UNCERTAIN, filmed, FIT, chosen)
+    fitted, beam, uncertain = known()
+    chosen = np.array([len(fitted.comparison.frame) // 2])
+    band = shape_band(beam, uncertain, filmed, fitted, chosen)
     assert band.shape == (1, 2, 31, 2)
     assert np.linalg.norm(band[0, 0] - band[0, 1], axis=-1)[0] == pytest.approx(0.0, abs=1e-9)  # at the clamp
-    common = replace(UNCERTAIN, covariance=0.0 * UNCERTAIN.covariance, gain_sd=0.05)
-    wide = shape_band(BEAM, common, filmed, FIT, chosen)
-    force, at = FIT.logged[chosen][0], FIT.comparison.push_s[chosen][0]
+    common = replace(uncertain, covariance=0.0 * uncertain.covariance, gain_sd=0.05)
+    wide = shape_band(beam, common, filmed, fitted, chosen)
+    force, at = fitted.logged[chosen][0], fitted.comparison.push_s[chosen][0]
     soft, stiff = (
-        replace(BEAM, stiffness=replace(common, mean=common.mean + shift).profile).equilibrium(force, at).xy(1.0)
+        replace(beam, stiffness=replace(common, mean=common.mean + shift).profile).equilibrium(force, at).xy(1.0)
         for shift in (-1.96 * 0.05, 1.96 * 0.05)
     )
     assert np.linalg.norm(wide[0, 0, -1] - wide[0, 1, -1]) == pytest.approx(np.linalg.norm(soft - stiff), rel=0.45)
 
 
 def test_without_film_or_camera_there_are_no_frames(filmed: Observations, tmp_path: Path) -> None:
-    assert film_strip(with_source(filmed, video=tmp_path / "gone.mp4"), FIT, BEAM, UNCERTAIN) is None
-    assert film_strip(with_source(filmed, view=None), FIT, BEAM, UNCERTAIN) is None
+    assert film_strip(with_source(filmed, video=tmp_path / "gone.mp4"), *known()) is None
+    assert film_strip(with_source(filmed, view=None), *known()) is None
 
 
 def test_frames_that_cannot_be_made_cost_only_themselves(filmed: Observations, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -151,7 +160,7 @@ def test_frames_that_cannot_be_made_cost_only_themselves(filmed: Observations, m
 
 @pytest.mark.slow
 def test_the_slider_goes_through_the_film(filmed: Observations, tmp_path: Path) -> None:
-    strip = film_strip(filmed, FIT, BEAM, UNCERTAIN)
+    strip = film_strip(filmed, *known())
     assert strip is not None
     html = page(made_up.findings(0), {"fit": b"png"}, film=strip)
     assert len(html) < 5_000_000
