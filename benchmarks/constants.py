@@ -1,5 +1,7 @@
 """Which constants of the fit k(s) rests on: each is doubled and halved, and what changes is told in sds of the band.
 
+`python -m benchmarks.constants learning.allowances beam` changes only those of these modules.
+
 Every number that a module of the learning and of the mechanics names at its top and that the fit reads is changed by
 itself, in a process of its own, before the module is compiled. The fit then runs on recordings that were observed
 once. `shift`: the largest RMS over s of the change of log k over the sd that the unchanged fit claims, of both changes
@@ -178,7 +180,8 @@ def main() -> None:
         kept = Path(place) / "seen.pickle"
         kept.write_bytes(pickle.dumps([observe(RECORDINGS / name) for name in SEEN]))
         usual = asked(kept)
-        every = [one for one in numbers() if one.module in usual["modules"]]
+        parts = tuple(f"onebend.{name}" for name in sys.argv[1:]) or ("onebend.",)
+        every = [one for one in numbers() if one.module in usual["modules"] and one.module.startswith(parts)]
         with ThreadPoolExecutor(2) as pool:
             rows = list(pool.map(lambda one: row(kept, one, usual["said"]), every))
     shown = sorted(zip(every, rows, strict=True), key=lambda pair: -max(pair[1][0], pair[1][1]))
