@@ -263,6 +263,7 @@ def test_the_centre_of_a_tag_is_put_on_a_goal_and_its_error_is_said() -> None:
         setup().tag_at(-1)
 
 
+@pytest.mark.slow
 def test_the_ideal_beam_puts_a_tag_where_the_set_up_puts_it() -> None:
     one = tagged()
     there = one.bent(BEAM, KNOWN, FORCE)

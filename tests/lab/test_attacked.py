@@ -191,6 +191,7 @@ def at_its_end_of(made: VirtualRecording, force: np.ndarray) -> list[Remark]:
     return [one for one in remarks if one.about == "sensor's end"]
 
 
+@pytest.mark.slow
 def test_a_sensor_at_its_end_is_named_without_noise_where_the_beam_goes_on_moving() -> None:
     push = PushProfile(0.5, before=1.5, rise=2.0, hold=1.0, fall=2.0, after=1.5, turn=0.0)
     made = virtual_recording(VirtualBench(BEAM, push, clock=KNOWN), seed=1)

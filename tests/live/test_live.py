@@ -175,6 +175,7 @@ def test_what_is_not_known_yet_is_said() -> None:
     assert dark.state().verdict.next == "bring all tags into the picture, in focus and well lit"
 
 
+@pytest.mark.slow
 def test_one_clock_for_both_is_stated_in_their_own_times() -> None:
     shift = 1.7e9  # s since 1970
     live = Live(described(np.nan, np.inf), clock=(0.0, 0.01), settings=HERE, beside=False)

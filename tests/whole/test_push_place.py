@@ -216,6 +216,7 @@ def test_a_right_place_inside_gains_nothing_on_either_side() -> None:
     assert np.max(search.gain) < 0.25 * ACCUSED
 
 
+@pytest.mark.slow
 def test_places_are_compared_under_one_noise() -> None:
     one = fitted(0.75, 0.75)
     here = at_written(one.problem, one.optimum, 0.75, SETTINGS)

@@ -172,6 +172,7 @@ def test_pushes_that_buckle_the_beam_are_left_out_and_said(middle: Posterior) ->
     assert "1 push at s = 1 in directions [180] deg left out: the beam buckles or snaps through." in made.left_out
 
 
+@pytest.mark.slow
 def test_a_common_gain_stays_but_for_another_sensor(middle: Posterior) -> None:
     known, made = replace(middle.stiffness, gain_sd=0.1), replace(instruments_of(middle), gain_sd=0.1)
     found = plan(known, middle.beam, made)

@@ -70,7 +70,7 @@ def test_the_weight_follows_k_with_exact_derivatives(tmp_path: Path, along: Mass
 
 @pytest.mark.parametrize(
     ("along", "power"),
-    [pytest.param(*one, marks=() if one[0] in ("even", "width") else pytest.mark.slow) for one in POWERS.items()],
+    [pytest.param(*one, marks=() if one[0] == "even" else pytest.mark.slow) for one in POWERS.items()],
 )
 def test_one_number_is_learned_where_the_spread_is_stated(tmp_path: Path, along: str, power: float) -> None:
     ready = with_mass([bench(tmp_path, rod(power), along)])

@@ -239,6 +239,7 @@ def test_repeats_between_which_the_beam_took_a_set() -> None:
     assert not own.misses
 
 
+@pytest.mark.slow
 def test_what_rides_on_the_beam_weighs() -> None:
     """Nothing but weight bends it, in one recording with a clip of 10 g near the tip: left out, k(s) is another."""
     clip, rng = PointMass(0.9, 0.01), np.random.default_rng(0)

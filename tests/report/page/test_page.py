@@ -155,7 +155,7 @@ def test_points_of_an_outline_go_by_their_places() -> None:
     assert legend_words(points, 2) == legend_words(points, 2, place=True) == f"s = {one.marker_s[2]:.3g}"
 
 
-@pytest.mark.parametrize("fitted", [True, False])
+@pytest.mark.parametrize("fitted", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_bare_findings_make_a_page_without_empty_sections(fitted: bool) -> None:
     found = made_up.findings(0, fitted=fitted)
     seen = with_stated(
