@@ -52,6 +52,7 @@ class Number:
 
 def _names(statement: ast.stmt) -> Iterator[tuple[str, ast.expr]]:
     """Names and values of an assignment to constants; `A, B = 1, 2` is two."""
+    target: ast.expr
     if isinstance(statement, ast.AnnAssign) and statement.value is not None:
         target, value = statement.target, statement.value
     elif isinstance(statement, ast.Assign) and len(statement.targets) == 1:
@@ -169,10 +170,10 @@ def row(kept: Path, number: Number, usual: Sequence[Any]) -> tuple[float, float,
 
 def main() -> None:
     if "--fitted" in sys.argv:
-        kept, *changed = sys.argv[sys.argv.index("--fitted") + 1 :]
+        made, *changed = sys.argv[sys.argv.index("--fitted") + 1 :]
         if changed:
             sys.meta_path.insert(0, _Finder(Number(changed[0], changed[1], ""), float(changed[2])))
-        print(json.dumps(fitted(Path(kept))))
+        print(json.dumps(fitted(Path(made))))
         return
     from onebend.recording.observe import observe
 
