@@ -169,6 +169,7 @@ def of_unknown_length() -> SetUp:
     return replace(sure, covariance=covariance)
 
 
+@pytest.mark.slow
 def test_a_goal_within_the_error_of_the_length_takes_no_great_force() -> None:
     sure, force = setup(), np.array([[0.0, 0.1]])
     goal = tips(sure, force)[0] + [5e-4, 0.0]
@@ -276,6 +277,7 @@ def test_the_ideal_beam_puts_a_tag_where_the_set_up_puts_it() -> None:
         assert np.max(np.linalg.norm(off + on_beam.xy(wanted.s)[:, 0] - wanted.places(on_beam)[:, 0], axis=1)) > 4e-4
 
 
+@pytest.mark.slow
 def test_the_band_of_the_ideal_beam_holds_the_error_of_a_tag() -> None:
     one = tagged()
     covariance = one.covariance.copy()

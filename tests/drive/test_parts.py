@@ -40,6 +40,7 @@ def goal_of(force: tuple[float, float] = (0.0, 0.3), at_s: float = 1.0) -> tuple
 # The plan.
 
 
+@pytest.mark.slow
 def test_a_plan_is_what_the_beam_needs(rec: Recording) -> None:
     plan = planned(rec, [goal_of()])
     assert plan.force == pytest.approx([0.0, 0.3], abs=1e-6)

@@ -54,6 +54,7 @@ def test_a_column_that_never_changes_is_named(tmp_path: Path, dead: str) -> None
     assert f"The {which} force of the log never changes (0.3 N)" in log.remarks[0].text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off", [60, *(pytest.param(off, marks=pytest.mark.slow) for off in (-30, 90))])
 def test_a_turned_log_is_named_with_the_angle_that_fits(pushed: VirtualRecording, off: int) -> None:
     cos, sin = np.cos(np.deg2rad(off)), np.sin(np.deg2rad(off))
@@ -136,6 +137,7 @@ def test_a_tag_turned_otherwise_than_written_is_named(pushed: VirtualRecording, 
     assert str(caught.value).count("would fit") == 1
 
 
+@pytest.mark.slow
 def test_a_start_far_off_and_milliseconds_beside_a_start_in_seconds_are_hinted_at(pushed: VirtualRecording) -> None:
     video = pushed.recording.video
     assert video is not None

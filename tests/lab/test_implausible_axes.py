@@ -67,6 +67,7 @@ def test_a_right_log_is_not_accused(seen: Observations) -> None:
         assert not found.impossible
 
 
+@pytest.mark.slow
 def test_two_exchanged_axes_of_the_opposite_sign_put_k_in_doubt(pushed: VirtualRecording) -> None:
     log = replace(pushed.log, force=-pushed.log.force[:, ::-1])
     said = [one.text for one in observe_virtual(replace(pushed, log=log)).source.remarks if one.doubt]
@@ -137,6 +138,7 @@ def robot_log(pushed: VirtualRecording, error: tuple[float, float]) -> VirtualRe
     return replace(pushed, log=replace(pushed.log, force=pushed.log.force + rising[:, None] * np.array(error)))
 
 
+@pytest.mark.slow
 def test_an_error_that_comes_with_the_load_is_no_turn_of_the_axes(pushed: VirtualRecording) -> None:
     peak = pushed.bench.push.peak
     seen = observe_virtual(robot_log(pushed, (0.8 * peak, 0.3 * peak)))

@@ -140,6 +140,7 @@ def test_a_pushs_own_errors_move_the_tags_as_equilibria_say() -> None:
         assert np.max(error) < 3e-4 * np.max(np.abs(expected)), i
 
 
+@pytest.mark.slow
 def test_an_unknown_gain_costs_most_and_its_calibration_is_advised() -> None:
     vague = replace(WRIST, sensor=replace(WRIST.sensor, gain_sd=0.2))
     changes = advise(vague, predict(vague))

@@ -50,6 +50,7 @@ def test_without_a_regression_the_start_is_the_nearest_uniform_beam(k: float) ->
     assert float(start(0.5)) == pytest.approx(k, rel=0.25)  # the grid's step
 
 
+@pytest.mark.slow
 def test_the_start_is_the_regressions_unless_a_uniform_beam_is_nearer() -> None:
     learned = regress(made())
     assert start_of([made()], learned) is learned.beam.stiffness
@@ -74,6 +75,7 @@ def test_a_recording_without_a_load_gives_no_start() -> None:
         start_of([heavy], None)
 
 
+@pytest.mark.slow
 def test_correlations_are_those_of_draws_from_the_posterior() -> None:
     one = fitted()
     names, found = correlations(one)
@@ -104,6 +106,7 @@ def test_tradeoffs_come_strongest_first_and_name_a_quantity_once() -> None:
     assert {one.first for one in level} == {LEVEL}
 
 
+@pytest.mark.slow
 def test_a_clamp_left_free_is_warned_of() -> None:
     assert worded(fit_notices(fitted())) == ()
     free = fitted(0.05)

@@ -56,6 +56,7 @@ def held(folder: Path, entries: str, seeds: range, *, off: float = 0.0) -> tuple
     return inside, criticised, float(np.mean(wide))
 
 
+@pytest.mark.slow
 def test_the_modulus_is_in_its_band_and_k_follows_every_corner_of_the_section(tmp_path: Path) -> None:
     beam = rod()
     found = learned(read(tmp_path / "rod", beam, SECTION))
@@ -134,6 +135,7 @@ def test_a_constant_section_is_an_even_beam(tmp_path: Path) -> None:
     assert found[0].optimum.log_evidence == pytest.approx(found[1].optimum.log_evidence, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_film_knows_the_section_too() -> None:
     beam = replace(rod(), length=0.5)
     film = with_stated(

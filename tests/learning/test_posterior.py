@@ -124,6 +124,7 @@ def test_poor_starts_lead_to_the_same_optimum() -> None:
     np.testing.assert_allclose(ends[0], ends[1], rtol=5e-3)
 
 
+@pytest.mark.slow
 def test_the_band_opens_where_a_push_at_mid_span_says_nothing() -> None:
     one = fit([observed(SOFT, forces(40, most=0.6), at_s=0.6, noise=NOISE)], 0.02, settings=IDEAL)
     band = one.band(np.array([0.3, 0.95]))

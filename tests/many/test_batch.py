@@ -194,6 +194,7 @@ def test_a_record_that_was_edited_is_made_anew(stems: Path, done: BatchOutcome) 
     assert run_batch(stems, done.out).learned_now == 1
 
 
+@pytest.mark.slow
 def test_a_name_that_is_no_utf_8_is_a_row_like_others(stems: Path, tmp_path: Path) -> None:
     folder = tmp_path / "stems"
     shutil.copytree(stems / "dry" / "one", folder / "good")
@@ -211,6 +212,7 @@ def test_a_name_that_is_no_utf_8_is_a_row_like_others(stems: Path, tmp_path: Pat
     assert rows[r"bad\udcff"]["reason"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
 def test_a_pipe_in_the_place_of_a_record_does_not_hang(stems: Path, tmp_path: Path) -> None:
     hashed = run_batch(stems / "dry", tmp_path / "out").records[0].hash

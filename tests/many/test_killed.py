@@ -121,6 +121,7 @@ def dies(item: Item, settings: TaskSettings) -> ItemResult:  # noqa: ARG001
     return ItemResult("done", True)
 
 
+@pytest.mark.slow
 def test_a_recording_that_ends_its_process_ends_no_batch(tmp_path: Path) -> None:
     items = [Item(name, tmp_path) for name in ("always", "once", "a", "b")]
     found = dict(results_of(items, TaskSettings(tmp_path, "0"), 2, dies))

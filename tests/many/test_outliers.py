@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from onebend.many.population import fit, outliers
 from tests.many.made_trials import Truth, made
@@ -22,6 +23,7 @@ def test_who_is_unlike_the_others_is_named_with_the_reason() -> None:
     assert "at s = 0.75" in found[12] or "at s = 1" in found[12]
 
 
+@pytest.mark.slow
 def test_few_groups_in_which_nothing_differs_name_one() -> None:
     named = [any(outliers(fit(made(Truth(sizes=(5,), places=3), 100 + i).trial))) for i in range(40)]
     assert sum(named) <= 6  # of 40 at 5 %: more has a chance of 1 %

@@ -87,6 +87,7 @@ def test_the_end_of_the_picture_is_no_end_of_the_body() -> None:
     assert np.isnan(ends_in(cut, bend)).all()
 
 
+@pytest.mark.slow
 def test_the_outline_has_the_end_as_a_point_of_which_what_is_along_it_counts() -> None:
     pictures = pictures_of(0.995)
     stations, hidden, scale = stations_and_hidden()

@@ -160,6 +160,7 @@ def test_a_wall_is_no_part_of_the_top_face() -> None:
     assert abs(float(np.nanmean(errors(track, BENDS[:4])))) < 0.2
 
 
+@pytest.mark.slow
 def test_a_body_of_stated_width_with_a_darker_rim_is_seen_up_to_where_the_rim_ends() -> None:
     stations, hidden, _ = stations_and_hidden()
     place = BodyPlace("painted", VIEW, stations, hidden, 2.0 * float(half_width(np.zeros(()))))
@@ -215,6 +216,7 @@ def with_tags(pictures: Sequence[Planes], bend: Array) -> tuple[outline.Middle, 
     return outline.centreline(found, stations, half, MEASURED / scale), found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wall", [pytest.param(0.0, marks=pytest.mark.slow), 0.003])
 def test_beside_tags_the_edges_are_those_that_move_with_the_tags(wall: float) -> None:
     middle, found = with_tags([painted(b, wall=wall, seed=i) for i, b in enumerate(BENDS.tolist())], BENDS)
@@ -244,6 +246,7 @@ def test_a_thing_on_one_side_of_the_body_is_no_edge_of_it() -> None:
     np.testing.assert_allclose(middle.width[shown], 2.0 * half_width(stations.s[shown]), atol=0.3e-3)
 
 
+@pytest.mark.slow
 def test_beside_tags_without_a_body_nothing_is_found() -> None:
     with pytest.raises(ObservationError, match="no two edges"):
         with_tags([painted(0.0, ends=0.02, seed=i) for i in range(len(BENDS))], BENDS)
@@ -275,6 +278,7 @@ def test_without_a_body_nothing_is_traced() -> None:
         traced([plain])
 
 
+@pytest.mark.slow
 def test_a_body_that_ends_before_its_tip_is_refused() -> None:
     with pytest.raises(ObservationError, match=r"outline is lost|before its tip|no body|leaves the body"):
         traced([painted(b, ends=0.7, seed=i) for i, b in enumerate(BENDS[:3].tolist())])

@@ -100,6 +100,7 @@ def test_a_camera_in_the_hand(tmp_path: Path) -> None:
     assert np.abs(o.xy - true()[:, 1:, :2]).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_without_a_bare_picture_the_clamps_direction_is_in_doubt(tmp_path: Path) -> None:
     o = observe(folder_of(tmp_path, loads=LOADS.replace("0.png,1,0.0,0.0\n", "")))
     assert len(o.time) == 4

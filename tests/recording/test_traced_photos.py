@@ -215,6 +215,7 @@ def test_a_curve_that_ends_before_the_last_click_is_refused(tmp_path: Path) -> N
         observe(folder_of(tmp_path / "cut", Image.fromarray(image), LEVEL))
 
 
+@pytest.mark.slow
 def test_a_photo_alone_validates_a_beam(tmp_path: Path) -> None:
     """A pose alone has no motion: a miss is counted from the straight beam."""
     o = observe(folder_of(tmp_path / "one", painted(LEVEL), LEVEL))

@@ -107,6 +107,7 @@ def test_a_goal_out_of_reach_is_said(folder: Path, monkeypatch: pytest.MonkeyPat
         done_here(looping.work, loop(StudioFolder.of(folder), asked_for(folder, goal_m=[5.0, 5.0])))
 
 
+@pytest.mark.slow
 def test_a_simulation_is_stopped(working: TestClient, folder: Path) -> None:
     asked = asked_for(folder, duration_s=600)
     assert working.post("/api/work/loop/start", json=asked, headers=own()).status_code == 200

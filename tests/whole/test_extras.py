@@ -49,8 +49,12 @@ def test_a_missing_package_is_an_error_of_onebend_and_an_import_error() -> None:
     ("extra", "arguments"),
     [
         ("ros", ("topics", "BAG")),
-        ("calibrate", ("calibrate", VIDEO, "--board", "chessboard", "9x6", "--square-mm", "20")),
-        ("studio", ("studio", ".")),
+        pytest.param(
+            "calibrate",
+            ("calibrate", VIDEO, "--board", "chessboard", "9x6", "--square-mm", "20"),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param("studio", ("studio", "."), marks=pytest.mark.slow),
     ],
 )
 def test_a_command_names_the_extra_that_it_lacks(extra: str, arguments: tuple[str, ...], tmp_path: Path) -> None:

@@ -248,7 +248,7 @@ def test_a_place_is_accused_where_other_tests_would_speak() -> None:
     assert np.isclose(np.exp(-ACCUSED), 10.0**ALARM)
 
 
-@pytest.mark.parametrize("about", ["tool place", "axes", "push place"])
+@pytest.mark.parametrize("about", ["tool place", "axes", pytest.param("push place", marks=pytest.mark.slow)])
 def test_where_the_recording_tells_or_is_contradicted_no_other_place_is_asked(about: str) -> None:
     one = fitted(0.75, 1.0)
     [seen] = one.recordings

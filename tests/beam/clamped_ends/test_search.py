@@ -189,6 +189,7 @@ def test_a_bow_snaps_over_where_its_branch_folds() -> None:
         assert middle[at - 1] > 0.1 > -0.1 > middle[at]
 
 
+@pytest.mark.slow
 def test_a_snapped_bow_stays_over_on_the_way_back() -> None:
     there = snap_path(0.8, 17)
     held = hold_along(UNIT, np.concatenate([there, there[::-1]]))

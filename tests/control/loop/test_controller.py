@@ -110,6 +110,7 @@ def test_delay_margin_is_the_onset(delay: float, rate: float) -> None:
         assert (late.radius < 1.0) is stable
 
 
+@pytest.mark.slow
 def test_tuned_gains_keep_the_wanted_margins_at_every_stiffness_and_the_longest_delay() -> None:
     control, wanted = reaching(), RequiredMargins()
     late = replace(control.settings.timing, delay=control.settings.longest_delay)

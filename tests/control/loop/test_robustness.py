@@ -72,6 +72,7 @@ def test_command_carries_the_weight(tmp_path: Path) -> None:
     np.testing.assert_allclose(json.loads(done.stdout)["force_N"], (0.0, 0.3), atol=1e-4)
 
 
+@pytest.mark.slow
 def test_drawn_beams_are_those_of_the_band_and_go_their_own_ways() -> None:
     fit = made_up.posterior()
     beam = fit.beam

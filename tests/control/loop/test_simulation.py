@@ -59,6 +59,7 @@ def test_open_loop_ends_at_the_equilibrium_of_the_true_beam() -> None:
     assert found.steady() > 5e-3
 
 
+@pytest.mark.slow
 def test_with_the_true_model_the_feedback_has_nothing_to_do() -> None:
     found = simulate_loop(reaching(), TrueSystem(BEAM, eye=LoopCamera(noise=0.0)), 3.0)
     assert found.steady() < 1e-4
@@ -138,6 +139,7 @@ def test_a_robot_with_a_wrong_gain_and_a_bias_is_corrected_too() -> None:
     assert found.steady() < 5e-4
 
 
+@pytest.mark.slow
 def test_bounded_force_leaves_an_error_and_nothing_winds_up() -> None:
     bound = ControllerSettings(most_force=1.1 * float(np.linalg.norm(FORCE)))
     control = replace(reaching(), settings=bound)

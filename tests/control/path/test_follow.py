@@ -86,6 +86,7 @@ def test_a_bound_on_the_force_holds_all_along() -> None:
     assert held.miss[i] == pytest.approx(alone.rms, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_gripper_goes_through_the_shapes_within_its_speed() -> None:
     free = follow_goals(SOFT, shapes_in_time(), grip=Grip(), settings=PathSettings(rate=50.0))
     wanted = free.goals.xy
@@ -99,6 +100,7 @@ def test_gripper_goes_through_the_shapes_within_its_speed() -> None:
     assert slow.stretch > free.stretch
 
 
+@pytest.mark.slow
 def test_each_sample_is_the_closest_shape() -> None:
     """Between goals that no pose meets exactly, the batch finds the same optimum as the search alone."""
     way = follow_goals(SOFT, shapes_in_time(), grip=Grip(), settings=PathSettings(rate=20.0))

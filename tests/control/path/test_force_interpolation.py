@@ -26,6 +26,7 @@ def goals() -> Goals:
     return point_goals([0.0, 0.4, 1.0], BEAM.equilibrium(FORCES).xy(1.0))
 
 
+@pytest.mark.slow
 def test_every_goal_between_is_within_reach_and_the_forces_come_back() -> None:
     led = by_force(BEAM, goals())
     way = follow_goals(BEAM, led, pushes=(Pusher(1.0),), settings=PathSettings(rate=100.0))

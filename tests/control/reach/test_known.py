@@ -30,6 +30,7 @@ def test_known_equilibria_are_those_of_the_statics_with_its_derivatives() -> Non
         np.testing.assert_allclose(known.force_by_place[i] @ response, np.eye(2), atol=1e-5)
 
 
+@pytest.mark.slow
 def test_nearly_all_goals_are_one_step_away_and_right() -> None:
     one_step, count = 0, 0
     for one in goals(8, 6, seed=21):

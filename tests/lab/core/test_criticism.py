@@ -189,6 +189,7 @@ def test_a_tag_off_its_place_is_named_with_its_distance() -> None:
     assert len(kept["tests"]) == len(critic.findings)
 
 
+@pytest.mark.slow
 def test_a_turned_tag_is_noted_but_does_no_harm() -> None:
     one = fit([moved(fitted().recordings[0].observations, 0, (0.0, 0.0, np.deg2rad(9.0)))], 0.02, settings=SMALL)
     assert one.criticism.trusted
@@ -212,6 +213,7 @@ def test_clocks_that_run_apart_are_told() -> None:
     assert second.score.log10_p < -4.0
 
 
+@pytest.mark.slow
 def test_a_beam_that_stretches_is_told_with_its_stiffness() -> None:
     o, axial = fitted().recordings[0].observations, 30.0
     rng = np.random.default_rng(2)
@@ -256,6 +258,7 @@ def test_every_suspect_has_words(suspect: Suspect, value: float) -> None:
     )
 
 
+@pytest.mark.slow
 def test_markers_without_any_noise_are_fitted_to_the_end() -> None:
     one = fit([observed(SOFT, forces(20))], 0.02, settings=replace(IDEAL, functions=24))
     assert one.optimum.converged

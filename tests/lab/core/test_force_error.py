@@ -173,6 +173,7 @@ def test_the_log_after_a_film_that_ends_while_the_beam_is_held_is_no_rest() -> N
     assert np.max(np.abs(rests)) < 0.1 * PEAK
 
 
+@pytest.mark.slow
 def test_long_rests_take_no_knots_from_the_push() -> None:
     long = replace(BENCH, push=replace(BENCH.push, before=20.0, after=10.0))
     found = [

@@ -34,11 +34,13 @@ def pushed(fall: float, *, noise: float = 0.02) -> Observations:
     return observe_virtual(virtual_recording(bench, seed=2))
 
 
+@pytest.mark.slow
 def test_of_a_slow_push_every_usable_frame_is_learned_from() -> None:
     seen = pushed(2.0)
     np.testing.assert_array_equal(learnable_frames(seen), usable_frames(seen))
 
 
+@pytest.mark.slow
 def test_a_sudden_release_takes_the_frames_beside_it() -> None:
     seen = pushed(0.03)
     usable, learned = usable_frames(seen), learnable_frames(seen)

@@ -141,6 +141,7 @@ def test_curvature_at_rest_adds_to_the_beams_own() -> None:
         np.testing.assert_allclose(followed().pose, followed(curved).pose, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_inertia_holds_a_quick_push_back() -> None:
     """A tip push bends a cantilever as if 33/140 of its mass sat at the tip (Rayleigh)."""
     quick = replace(HELD, rise=0.5, hold=0.3, fall=0.5, peak=1e-3)

@@ -73,6 +73,7 @@ def test_the_folder_reads_as_what_was_filmed(folder: Path) -> None:
     assert read.force.acts_on == "robot"
 
 
+@pytest.mark.slow
 def test_tags_are_seen_where_they_truly_are(folder: Path) -> None:
     rec, truth = read_recording(folder), read_truth(folder)
     assert rec.video is not None

@@ -83,6 +83,7 @@ def test_table_of_many_frames_is_compared_in_a_hundred_of_them() -> None:
     assert len(result.training.frame) == 300
 
 
+@pytest.mark.slow
 def test_film_of_very_many_frames_is_learned_from_a_thousand_of_them() -> None:
     long = observed(SOFT, forces(2500), noise=(2e-5, 1e-3), seed=3)
     kept = np.linspace(0, 2499, 1000).astype(int)

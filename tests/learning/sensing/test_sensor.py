@@ -60,6 +60,7 @@ def checked(log: Array, told: SensedForces) -> SensorCheck:
     return found
 
 
+@pytest.mark.slow
 def test_gain_direction_delay_bias_and_drift_are_found_within_their_bands() -> None:
     rng = np.random.default_rng(1)
     told = told_of(push(TIME), np.tile(OWN**2 * np.eye(2), (len(TIME), 1, 1)), rng)
@@ -114,6 +115,7 @@ def test_what_is_unknown_of_the_clock_is_unknown_of_the_delay() -> None:
     assert unsure.direction[1] > 1.05 * sure.direction[1]
 
 
+@pytest.mark.slow
 def test_sizes_of_the_log_error_that_nobody_knows_widen_its_bands() -> None:
     """Of one push, with an error that came with the load: the sizes are averaged over."""
     told = told_of(push(TIME), np.tile(OWN**2 * np.eye(2), (len(TIME), 1, 1)), np.random.default_rng(5))

@@ -133,6 +133,7 @@ def test_an_estimate_whose_error_drowns_the_noise_of_the_tags_is_no_singular_equ
     assert np.isfinite(distance).all()
 
 
+@pytest.mark.slow
 def test_a_fit_in_doubt_stays_so() -> None:
     made = observed(SOFT, forces(40), noise=NOISE)
     learner = OnlineLearner(made.length, MARKERS, 0.03, settings=FEW)

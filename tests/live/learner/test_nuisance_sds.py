@@ -132,6 +132,7 @@ def test_a_stated_clamp_wider_than_usual_is_warned_of() -> None:
     assert "usual: 2 deg" in told.text
 
 
+@pytest.mark.slow
 def test_the_live_learner_has_what_is_stated() -> None:
     for name in NAMES:
         held, free = (settings_for(stated(name, sd)) for sd in (0.0, 0.3))

@@ -68,6 +68,7 @@ def test_sizes_drawn_on_the_way_are_those_that_the_fit_draws() -> None:
     np.testing.assert_allclose(np.mean(parts, axis=0), means, atol=0.6)
 
 
+@pytest.mark.slow
 def test_sizes_of_the_force_error_by_their_evidence() -> None:
     """Its slope against differences, its nodes against those of the fit, and a step that raises it."""
     made = observed(SOFT, forces(40), noise=NOISE, seed=1)
@@ -97,6 +98,7 @@ def test_sizes_of_the_force_error_by_their_evidence() -> None:
     np.testing.assert_allclose(sd, wide, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_a_beam_that_does_not_stretch_is_not_taken_to_stretch_less_than_not_at_all() -> None:
     """Mean and variance of the section's change are those of what the frames say, cut off at its bound."""
     made = observed(SOFT, forces(40), noise=NOISE, seed=2)  # without the bound -1.2

@@ -78,6 +78,7 @@ def test_pixels_through_the_found_camera_meet_the_true_ones(found: Calibration) 
     assert np.abs(shift - shift.mean(axis=0)).max() < 1.0  # a shift of all is a turn of the camera
 
 
+@pytest.mark.slow
 def test_of_each_burst_the_sharp_frame_counts(tmp_path: Path) -> None:
     cv2 = package("cv2", "calibrate")
     pictures = []
@@ -89,6 +90,7 @@ def test_of_each_burst_the_sharp_frame_counts(tmp_path: Path) -> None:
     assert (seen.frames_searched, seen.frames_found) == (8, 8)
 
 
+@pytest.mark.slow
 def test_views_that_repeat_are_left_for_those_that_differ(chess_film: Path) -> None:
     seen = find_boards(chess_film, CHESS)
     again = boards.BoardFilm(seen.width, seen.height, (*seen.views, *seen.views[:1] * 20), 40, 40)

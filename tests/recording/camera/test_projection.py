@@ -137,6 +137,7 @@ def test_covariance_is_honest(calibrated: bool) -> None:
     assert 0.4 < np.median(squares) / 2.366 < 1.4
 
 
+@pytest.mark.slow
 def test_noise_of_the_corners_is_found() -> None:
     for sd in (0.05, 0.4):
         found = measure_markers(detections(corners_of(TRUE, SEEN), sd=sd), recording(calibrated=SEEN))
@@ -206,6 +207,7 @@ def test_missing_tags_stay_missing() -> None:
     assert (markers.base_angle == 0).all()
 
 
+@pytest.mark.slow
 def test_a_hidden_base_tag_leaves_the_covariance_known() -> None:
     seen, true = view(), poses(60)
     whole = measure_markers(detections(corners_of(true, seen), sd=0.03), recording(calibrated=seen))

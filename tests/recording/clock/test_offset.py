@@ -79,6 +79,7 @@ def test_sign_does_not_matter_to_levers() -> None:
     assert abs(other.offset - plain.offset) < 0.5 * plain.sd
 
 
+@pytest.mark.slow
 def test_dropouts_and_hidden_tags_are_survived() -> None:
     pushed = Pushed(seed=21)
     log, markers = pushed.log(), pushed.markers()

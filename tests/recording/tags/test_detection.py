@@ -81,6 +81,7 @@ def test_tag_that_appears_is_followed_back_to_its_first_frame() -> None:
     assert np.isfinite(tracks.corners[11:, 1]).all()
 
 
+@pytest.mark.slow
 def test_whole_pattern_is_better_than_the_edges_for_a_still_tag() -> None:
     random = np.random.default_rng(3)
     before, after = [], []

@@ -99,6 +99,7 @@ def test_small_deflections_may_be_read_alone(tmp_path: Path) -> None:
         seen(tmp_path, 1e-3 * hanging())
 
 
+@pytest.mark.slow
 def test_zeroed_gauges_tell_k(tmp_path: Path) -> None:
     """Displacements of marks since the bare pose, which itself sags by 5 % of the length and is read by nobody."""
     assert hanging()[0, -1, 1] < -0.04 * ROD.length

@@ -128,6 +128,7 @@ def test_k_is_learned_with_its_band(tmp_path: Path, ruler: bool) -> None:
     assert abs(clamp.value - np.radians(0.7)) < 3 * clamp.sd < np.radians(2.0)
 
 
+@pytest.mark.slow
 def test_an_exact_table_gives_k_closely(tmp_path: Path) -> None:
     o = seen(tmp_path, poses='axes = "room"\nsd_m = 1e-5\n', shown=noisy(hanging(), 1e-5))
     assert o.sd_known

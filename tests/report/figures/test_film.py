@@ -92,6 +92,7 @@ def test_the_frames_shown_are_spread_and_likely_to_be_kept() -> None:
     assert spread_frames(frame[:5]).tolist() == [0, 1, 2, 3, 4]
 
 
+@pytest.mark.slow
 def test_what_is_drawn_stands_where_the_small_picture_shows_it(filmed: Observations) -> None:
     strip = film_strip(filmed, *known())
     assert strip is not None
@@ -146,6 +147,7 @@ def test_without_film_or_camera_there_are_no_frames(filmed: Observations, tmp_pa
     assert film_strip(with_source(filmed, view=None), *known()) is None
 
 
+@pytest.mark.slow
 def test_frames_that_cannot_be_made_cost_only_themselves(filmed: Observations, monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object) -> None:
         raise ValueError("no memory")
