@@ -188,6 +188,7 @@ def test_one_clock_for_both_is_stated_in_their_own_times() -> None:
     assert state.time == later[-1].time
 
 
+@pytest.mark.slow
 def test_what_the_live_learner_does_not_know_waits_for_the_end() -> None:
     rec = described(OFFSET, 0.0)
     for other, words in (

@@ -165,6 +165,7 @@ def test_a_changed_file_is_learned_anew(stems: Path, done: BatchOutcome, tmp_pat
     assert run_batch(copy, done.out).learned_now == 1
 
 
+@pytest.mark.slow
 def test_a_row_states_what_recording_toml_does_not(stems: Path, done: BatchOutcome, tmp_path: Path) -> None:
     rows = f"path,name,group,treatment,day,length_m\n{stems}/dry/one,b,g,dry,3,0.151\n"
     (tmp_path / "list.csv").write_text(rows)

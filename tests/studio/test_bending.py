@@ -167,6 +167,7 @@ def test_two_tabs_agree_and_a_returning_one_finds_the_beam_as_it_was(working: Te
         assert heard(again, "beam")["answer"]["force_N"] == [0.0, 0.0]
 
 
+@pytest.mark.slow
 def test_of_many_drags_the_last_is_answered(working: TestClient) -> None:
     with opened(working) as socket:
         socket.send_json({"do": "open", "model": "beam"})

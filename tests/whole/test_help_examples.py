@@ -119,6 +119,7 @@ def completed(shell: str, **asked: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_a_shell_completes_commands_and_options() -> None:
     assert completed("bash", COMP_WORDS="onebend re", COMP_CWORD="1").split() == [
         name for name in COMMANDS if name.startswith("re")

@@ -203,7 +203,7 @@ def test_a_force_that_ends_at_a_break_is_followed_to_full_order() -> None:
     assert at in whole.time
 
 
-@pytest.mark.parametrize("tolerance", [1e-3, 1e-5])
+@pytest.mark.parametrize("tolerance", [1e-3, pytest.param(1e-5, marks=pytest.mark.slow)])
 def test_converged_motion_is_as_good_as_it_says(tolerance: float) -> None:
     of = soft_body()
     start = settle(of, PULL)

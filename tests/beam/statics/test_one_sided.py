@@ -24,7 +24,10 @@ BEAMS = {
     "turned and heavy": Beam(1.0, Uniform(1.0), clamp_angle=0.5, mass_per_length=Uniform(0.3)),
     "thick": Beam(1.0, Uniform(1.0), thickness=0.08),
 }
-beams = pytest.mark.parametrize("beam", BEAMS.values(), ids=BEAMS.keys())
+SLOW = ("soft joint", "curved", "turned and heavy")
+beams = pytest.mark.parametrize(
+    "beam", [pytest.param(one, id=name, marks=[pytest.mark.slow] * (name in SLOW)) for name, one in BEAMS.items()]
+)
 
 
 def drawn(seed: int, count: int, largest: float = 30.0) -> Array:

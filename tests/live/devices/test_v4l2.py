@@ -73,7 +73,7 @@ def kernel(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
     return read
 
 
-@pytest.mark.parametrize("packed", ["MJPG", "YUYV", pytest.param("GREY", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("packed", ["MJPG", *(pytest.param(one, marks=pytest.mark.slow) for one in ("YUYV", "GREY"))])
 def test_pictures_come_with_the_kernels_stamps(kernel: Callable[..., Any], packed: str) -> None:
     got = kernel(f"/dev/video0,size=640x480,fps=60,packed={packed}", 15)
     assert f"asked: 640x480 {packed}" in got["asked"]
@@ -96,6 +96,7 @@ def test_broken_pictures_are_left_out(kernel: Callable[..., Any]) -> None:
     assert got["none"] > 0
 
 
+@pytest.mark.slow
 def test_another_clock_than_this_machines_is_followed(kernel: Callable[..., Any]) -> None:
     assert not kernel("/dev/video0", 2, OTHER=1000)["host"]
 

@@ -239,7 +239,7 @@ def with_markers(count: int) -> Comparison:
     )
 
 
-@pytest.mark.parametrize("count", [1, 5, 6, 7, 8, 28])
+@pytest.mark.parametrize("count", [1, *(pytest.param(n, marks=pytest.mark.slow) for n in (5, 6, 7, 8)), 28])
 def test_however_many_markers_all_is_inside_the_picture(count: int) -> None:
     """Matplotlib warns where a legend leaves no room for the axes, and warnings are errors here."""
     one = with_markers(count)
