@@ -174,6 +174,7 @@ def asked(runs: Runs, fitted: Posterior, monkeypatch: pytest.MonkeyPatch) -> lis
     return asked
 
 
+@pytest.mark.slow
 def test_the_example_says_what_it_finds(asked: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(SCRIPT))
     assert asked == [EXAMPLE / "train", EXAMPLE / "fast"]

@@ -71,7 +71,6 @@ TUBE = [
     Case("three sizes at one place", rewrite(SECTION, lambda t: t + "1.0,0.004,0.003\n1.0,0.003,0.002\n"), "section"),
 ]
 QUICK = {
-    "a frequency in millihertz",
     "mass in grams",
     "gravity in cm/s^2",
     "a rider in grams",

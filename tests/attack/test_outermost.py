@@ -133,6 +133,7 @@ def test_an_output_without_our_characters_still_gets_the_rest(model: Path, encod
     assert "length 150 mm" in done.stdout.decode(encoding)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
 @pytest.mark.parametrize(
     "arguments",

@@ -184,6 +184,7 @@ class Stop:
         return any(one < self.cell.time < one + 0.3 for one in self.moments)
 
 
+@pytest.mark.slow
 def test_a_stop_holds_and_releases_slowly(tmp_path: Path) -> None:
     rec = read_recording(described(tmp_path, width=640), filmed=False)
     cell = VirtualCell(setup_for(rec, holds=False, sees=math.radians(60.0)))
@@ -280,6 +281,7 @@ def test_nothing_moves_before_the_rest_was_seen(tmp_path: Path) -> None:
     assert robot.released == 1
 
 
+@pytest.mark.slow
 def test_a_rest_without_tags_moves_nothing(tmp_path: Path) -> None:
     rec = read_recording(described(tmp_path, width=640), filmed=False)
     cell = FaultyCell(setup_for(rec, holds=False, sees=math.radians(60.0)))

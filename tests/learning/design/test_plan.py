@@ -63,6 +63,7 @@ def test_a_plan_for_a_script(model: Path) -> None:
     assert data["proposals"][0]["after"]["mean_width"] < data["before"]["mean_width"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command",
     [["plan"], ["export", "--to", "numpy"], ["damp", "NOWHERE"], ["validate", "NOWHERE"]],
