@@ -24,8 +24,8 @@ unexport PYTHONDONTWRITEBYTECODE
 
 help:
 	@echo "make demo      learn the bundled recording and validate it on another one"
-	@echo "make test      lint, types, layers and tests"
-	@echo "make test-all  the slow tests as well, and how much of the code the tests run"
+	@echo "make test      lint, types of the package, layers and tests"
+	@echo "make test-all  the slow tests and all types as well, and how much of the code the tests run"
 	@echo "make bench     accuracy and speed, written to out/benchmarks/"
 	@echo "make docs      write the generated parts of docs/cli.md and docs/recording.md anew, and the commands' options"
 	@echo "make picture   draw the pictures of the README, of docs/first-beam.md and docs/studio.md again"
@@ -35,8 +35,8 @@ help:
 demo: $(STAMP)
 	$(BIN)/onebend learn examples/linear-beam/train --output out/linear-beam --validate examples/linear-beam/fast --force
 
-# The types of the package are checked beside the tests, those of tests and benchmarks by `make test-all`: they take half
-# of the time.
+# The types of the package are checked beside the tests. `make test-all` checks those of tests and benchmarks as well,
+# which nearly doubles the time that the types take.
 test: $(TESTS)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .

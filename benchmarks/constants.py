@@ -1,9 +1,9 @@
 """Which constants of the fit k(s) rests on: each is doubled and halved, and what changes is told in sds of the band.
 
-`python -m benchmarks.constants learning.allowances beam` changes only those of these modules.
+All take an hour or two; `python -m benchmarks.constants learning.allowances beam` changes only those of these modules.
 
-Every number that a module of the learning and of the mechanics names at its top and that the fit reads is changed by
-itself, in a process of its own, before the module is compiled. The fit then runs on recordings that were observed
+Every number that a module of the learning or of the mechanics names at its top is changed by itself, in a process of
+its own, before the module is compiled, if the fit loads the module. The fit then runs on recordings that were observed
 once. `shift`: the largest RMS over s of the change of log k over the sd that the unchanged fit claims, of both changes
 and all recordings. `width`: the largest change of the band's mean width. A shift of one sd or more is what the band
 does not hold: such a constant is knowledge of the world and names its source. Constants without effect are limits that
@@ -12,6 +12,7 @@ these recordings do not reach, or choices that do not matter.
 
 from __future__ import annotations
 
+import argparse
 import ast
 import importlib.abc
 import importlib.machinery
@@ -31,13 +32,13 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.truth import parser_of
+
 SOURCE = Path(__file__).parents[1] / "src"
-RECORDINGS = Path(__file__).parents[2] / "shared" / "recordings"
 ROOMS = ("onebend/learning", "onebend/beam")
 SEEN = ("wild/mix_quadratic_s08", "tracks/mix_006")
 S = np.linspace(0.05, 0.9, 60)
 FACTORS = (2.0, 0.5)
-ONE_SD = 0.5 / 1.959964  # half of the width of a 95 % band, in sds
 LEAST = 0.1  # shifts in sd, or shares of the width, that are shown
 
 
@@ -127,6 +128,7 @@ class _Finder(importlib.abc.MetaPathFinder):
 def fitted(kept: Path) -> dict[str, Any]:
     """What the fits of kept observations say, and which modules they loaded; in the process that was changed, which
     loads them only here."""
+    from onebend.beam.stiffness import half_width
     from onebend.errors import OnebendError
     from onebend.learning.posterior import fit
     from onebend.records import GAIN_SD
@@ -137,7 +139,8 @@ def fitted(kept: Path) -> dict[str, Any]:
             band = fit([seen], gain_sd=max(seen.stated.gain_sd, GAIN_SD)).band(S)
         except (OnebendError, ArithmeticError, ValueError, np.linalg.LinAlgError) as wrong:
             return {"failure": f"{type(wrong).__name__}: {wrong}".splitlines()[0][:80]}
-        said.append([np.log(band.k).tolist(), np.log(band.high / band.low).tolist()])
+        sd = np.log(band.high / band.low) / (2.0 * half_width(1.0))
+        said.append([np.log(band.k).tolist(), sd.tolist()])
     return {"said": said, "modules": [name for name in sys.modules if name.startswith("onebend.")]}
 
 
@@ -162,26 +165,32 @@ def row(kept: Path, number: Number, usual: Sequence[Any]) -> tuple[float, float,
         if "failure" in found:
             failures.append(f"times {factor:g}: {found['failure']}")
             continue
-        for (log_k, wide), (log_k0, wide0) in zip(np.array(found["said"]), np.array(usual), strict=True):
-            shift = max(shift, float(np.sqrt(np.mean(((log_k - log_k0) / (ONE_SD * wide0)) ** 2))))
-            width = max(width, abs(float(np.mean(wide) / np.mean(wide0)) - 1.0), key=abs)
+        for (log_k, sd), (usual_log_k, usual_sd) in zip(np.array(found["said"]), np.array(usual), strict=True):
+            shift = max(shift, float(np.sqrt(np.mean(((log_k - usual_log_k) / usual_sd) ** 2))))
+            width = max(width, abs(float(np.mean(sd) / np.mean(usual_sd)) - 1.0))
     return shift, width, "; ".join(failures)
 
 
 def main() -> None:
-    if "--fitted" in sys.argv:
-        made, *changed = sys.argv[sys.argv.index("--fitted") + 1 :]
-        if changed:
-            sys.meta_path.insert(0, _Finder(Number(changed[0], changed[1], ""), float(changed[2])))
-        print(json.dumps(fitted(Path(made))))
+    parser = parser_of(__doc__)
+    parser.add_argument("modules", nargs="*", metavar="MODULE", help="of onebend; default: all that the fit loads")
+    parser.add_argument("--fitted", type=Path, help=argparse.SUPPRESS)  # in the process of one number
+    given = parser.parse_args()
+    if given.fitted is not None:
+        if given.modules:
+            module, name, factor = given.modules
+            sys.meta_path.insert(0, _Finder(Number(module, name, ""), float(factor)))
+        print(json.dumps(fitted(given.fitted)))
         return
     from onebend.recording.observe import observe
 
     with tempfile.TemporaryDirectory() as place:
         kept = Path(place) / "seen.pickle"
-        kept.write_bytes(pickle.dumps([observe(RECORDINGS / name) for name in SEEN]))
+        kept.write_bytes(pickle.dumps([observe(given.recordings / name) for name in SEEN]))
         usual = asked(kept)
-        parts = tuple(f"onebend.{name}" for name in sys.argv[1:]) or ("onebend.",)
+        if "failure" in usual:
+            sys.exit(f"the unchanged fit failed: {usual['failure']}")
+        parts = tuple(f"onebend.{name}" for name in given.modules) or ("onebend.",)
         every = [one for one in numbers() if one.module in usual["modules"] and one.module.startswith(parts)]
         with ThreadPoolExecutor(2) as pool:
             rows = list(pool.map(lambda one: row(kept, one, usual["said"]), every))
@@ -194,8 +203,7 @@ def main() -> None:
             print(f"| {where}.{one.name} | {one.value} | {shift:.2f} | {100.0 * width:.0f} | {failed} |")
     small = sum(not failed and max(shift, width) < LEAST for _, (shift, width, failed) in shown)
     none = [one for one, (shift, width, failed) in shown if not failed and shift == 0.0 and width == 0.0]
-    print(f"\n{small} others shift k by less than {LEAST:g} sd and its width by less than {100 * LEAST:.0f} %.")
-    print(f"{len(none)} of these change nothing at all: {', '.join(one.name for one in none)}.")
+    print(f"\nOthers, with less of both: {small}. Without any effect: {', '.join(one.name for one in none) or 'none'}.")
 
 
 if __name__ == "__main__":

@@ -35,6 +35,7 @@ def film(tmp_path: Path) -> VideoEntry:
 
 
 def pass_by(kept: KeptFrames, film: VideoEntry) -> None:
+    """Show it every frame, as the search for the outline does."""
     for index, _, raw in timed(film):
         kept.keep(film, index, raw)
 

@@ -263,7 +263,6 @@ ADVICE = (
     "Run the same `onebend batch` again: it writes the tables anew and learns nothing twice. Change groups, names and "
     "recordings in its list"
 )
-FEWEST = 2  # objects of at least one group, for a spread
 OURS = ("reason", "grade", "doubts", "warnings", "hash", "path", "finished")
 
 
@@ -302,7 +301,7 @@ def read_batch(folder: Path, by: str, same: str | None = None) -> Named:
                 f"{quoted(_text(row[by]))}. Name its recordings apart, or choose another --by"
             )
     objects, groups = tuple(groups_of), tuple(sorted(set(groups_of.values())))
-    if len(objects) < len(groups) + FEWEST - 1:
+    if len(objects) == len(groups):
         raise ResultsError(
             f"{folder}: no group has two objects, so nothing tells the spread within groups. Give some group two "
             "objects or more, or choose another --by"

@@ -434,7 +434,8 @@ def caught(
 
 def _nearest_run(like: BoolArray, out: Array) -> float:
     """Middle of the run of similar places (J,) that is nearest to 0 among these `out` (J,); NaN where there is none."""
-    first, last = out[signals.runs(like) - [0, 1]].T
+    begin, end = signals.runs(like).T
+    first, last = out[begin], out[end - 1]
     if not len(first):
         return math.nan
     nearest = int(np.argmin(np.maximum(first, 0.0) + np.maximum(-last, 0.0)))

@@ -26,7 +26,8 @@ BEAMS = {
 }
 SLOW = ("soft joint", "curved", "turned and heavy")
 beams = pytest.mark.parametrize(
-    "beam", [pytest.param(one, id=name, marks=[pytest.mark.slow] * (name in SLOW)) for name, one in BEAMS.items()]
+    "beam",
+    [pytest.param(one, id=name, marks=pytest.mark.slow if name in SLOW else ()) for name, one in BEAMS.items()],
 )
 
 

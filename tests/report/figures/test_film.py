@@ -21,13 +21,14 @@ from onebend.learning.outcome import Explained
 from onebend.learning.verdict import explained
 from onebend.recording.entries import VideoEntry
 from onebend.recording.plane import project
-from onebend.recording.video import KeptFrames, pictures_at, timed
+from onebend.recording.video import KeptFrames, pictures_at
 from onebend.records import Observations
 from onebend.report import figures as drawing, pictures as film
 from onebend.report.page import page
 from onebend.report.pictures import MOST_FRAMES, WIDEST, film_strip, shape_band, spread_frames
 from tests import made_up
 from tests.made_up import with_source
+from tests.recording.test_kept_frames import pass_by
 from tests.recording.test_video import write_video
 from tests.report.page.browser import after_script
 
@@ -74,8 +75,7 @@ def jpeg_of(frame: dict[str, Any]) -> bytes:
 def test_frames_that_were_kept_make_the_same_strip(filmed: Observations) -> None:
     assert filmed.source.video is not None
     kept, entry = KeptFrames(), VideoEntry(file=filmed.source.video)
-    for index, _, raw in timed(entry):
-        kept.keep(entry, index, raw)
+    pass_by(kept, entry)
     sought, passed = (film_strip(filmed, *known(), one) for one in (None, kept))
     assert sought is not None
     assert passed is not None
